@@ -1,15 +1,15 @@
-"""How tight automatic plans are: their cost against the cheapest setting's, their predicted error against the true one.
+"""Cost of automatic plans relative to the cheapest setting, and their predicted errors relative to the actual ones.
 
-A configuration is a surface, a form of coherence, a tolerance and a call of 40,000 directions, of which the first 128
-are looked at. Its automatic plan is compared with all settings of a grid: every method, terms in whole registers,
-neighbours in steps of 0.5 of the exponent of their least weight, sets of wavelengths and the shares of the bandwidth in
-quarter octaves, the same number of wavelengths for all directions, and for copies subdivisions in quarter octaves. A
-setting counts if it keeps the tolerance against the float64 reference on these very 128, without any safety; of those
-with the lowest predicted cost, the best of each method and of all, the time is measured, and the shortest is the
-cheapest setting. What a direction yields depends on its own set of wavelengths alone, so that each set is computed once
-and plans are put together from them.
+A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions, of which the first 128
+are evaluated. Its automatic plan is compared with all settings of a grid: every method, terms in whole registers,
+neighbours in steps of 0.5 of the exponent of their least weight, wavelength sets and shares of the bandwidth in quarter
+octaves, the same number of wavelengths for all directions, and for periods subdivisions in quarter octaves. A setting
+counts if it meets the tolerance against the float64 reference on these 128 directions, without a safety factor. The
+settings with the lowest predicted cost, in total and per method, are timed; the fastest is the cheapest setting. The
+result of a direction depends on its own wavelength set only, so each set is computed once, and plans are combined from
+them.
 
-Times are processor times over the number of threads, medians of rounds in which plan and candidates take turns.
+Times are processor times over the number of threads, medians of interleaved rounds.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from warpdiff.diffraction.coefficient_basis import METHODS, POWER_METHODS
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner import cost_model
 from warpdiff.request.directions import DirectionRange, order_rate
 from warpdiff.tables import coefficient_table
@@ -44,16 +45,16 @@ DIRECTIONS, PLANNED = 128, 40_000
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
-COPIES_TOLERANCES = (1e-1, 3e-2, 1e-2)
+REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09
-# Sets of wavelengths: quarter octaves; those below the kernel's ladder serve all directions alike.
+# Wavelength sets: quarter octaves; sets below the kernel's ladder are equal for all directions.
 FEWER = (8, 10, 11, 13)
-# Bandwidths: the constant's share in quarter octaves, and how the rest is split between (u, v) and w.
+# Bandwidths: share of the constant in quarter octaves, and split of the rest between (u, v) and w.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Methods and settings whose least predicted cost exceeds the best's by so much are left out.
+# Methods and settings whose least predicted cost exceeds the best one by this factor are excluded.
 HOPELESS = 1.6
 TIMED = 4
 MOST_TIMED = 4096
@@ -61,7 +62,7 @@ CHUNK = 64
 
 
 class Configuration(NamedTuple):
-    """What is planned for."""
+    """Inputs of a plan."""
 
     surface: str
     heightfield: wd.HeightField
@@ -75,44 +76,46 @@ class Configuration(NamedTuple):
 
 
 def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
-    """All height fields, those of the scan where it is present."""
-    made = {f"fingers {size:g} µm": wd.gratings.fingers(size_um=size, pitch_um=PITCH_UM) for size in (6.4, 12.8, 25.6)}
-    made |= {
+    """Return all height fields, with those of the scan if it is available."""
+    result = {
+        f"fingers {size:g} µm": wd.gratings.fingers(size_um=size, pitch_um=PITCH_UM) for size in (6.4, 12.8, 25.6)
+    }
+    result |= {
         f"fingers {size:g} µm, {height:g} µm high": wd.gratings.fingers(
             size_um=size, pitch_um=PITCH_UM, height_um=height, seed=1
         )
         for size, height in ((12.8, 1.0), (6.4, 3.0))
     }
-    made["blazed 5 µm"] = wd.gratings.blazed(5.0, 0.8)
-    made["disc 12.8 µm"] = wd.gratings.disc("CD", length_um=12.8, pitch_um=0.08)
+    result["blazed 5 µm"] = wd.gratings.blazed(5.0, 0.8)
+    result["disc 12.8 µm"] = wd.gratings.disc("CD", length_um=12.8, pitch_um=0.08)
     if data is not None and (data / demo.SCAN).is_file():
         scan = demo.cleaned_scan(data / demo.SCAN)
-        made |= {f"scan {size:g} µm": scan.cropped(size) for size in (6.5, 12.5, 25.0)}
-        made["scan 65 µm"] = scan
+        result |= {f"scan {size:g} µm": scan.cropped(size) for size in (6.5, 12.5, 25.0)}
+        result["scan 65 µm"] = scan
     else:
-        print(f"{demo.SCAN} is not at hand: synthetic surfaces only")
-    return made
+        print(f"{demo.SCAN} is not available: synthetic surfaces only")
+    return result
 
 
 def configurations(data: Path | None, count: int, seed: int) -> list[Configuration]:
-    """Forms take turns; surfaces and tolerances are drawn so that each comes as often as any other."""
+    """Return random configurations: kinds of coherence in turn, surfaces and tolerances equally often."""
     rng = np.random.default_rng(seed)
     fields = surfaces(data)
-    # A reference sums a patch of copies sample by sample.
+    # The reference sums a replicated patch sample by sample.
     small = [name for name, heightfield in fields.items() if math.prod(heightfield.shape) <= 1 << 14]
-    drawn: dict[Any, list[Any]] = {}
+    remaining: dict[Any, list[Any]] = {}
 
     def draw(which: Any, among: Any) -> Any:
-        if not drawn.get(which):
-            drawn[which] = list(rng.permutation(len(among)))
-        return list(among)[drawn[which].pop()]
+        if not remaining.get(which):
+            remaining[which] = list(rng.permutation(len(among)))
+        return list(among)[remaining[which].pop()]
 
-    found = []
+    result = []
     for index in range(count):
         kind = KINDS[index % len(KINDS)]
         periods = kind == "replicas"
         surface = draw((periods, "surface"), small if periods else fields)
-        tolerance = draw((kind, "tolerance"), COPIES_TOLERANCES if periods else TOLERANCES)
+        tolerance = draw((kind, "tolerance"), REPLICAS_TOLERANCES if periods else TOLERANCES)
         pair = None
         if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
@@ -121,35 +124,35 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
         coherence = wd.Coherence(kind, periods=pair)
-        found.append(Configuration(surface, fields[surface], coherence, tolerance, light, _upper(rng, PLANNED)))
-    return found
+        result.append(Configuration(surface, fields[surface], coherence, tolerance, light, _upper(rng, PLANNED)))
+    return result
 
 
 def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Unit vectors up to 85° from the normal, uniform over the sphere."""
+    """Return unit vectors up to 85° from the normal, uniform over the sphere."""
     z, phi = rng.uniform(LOWEST, 1.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
 
 
 class Call:
-    """The directions of one call, what is true of them, and what a plan makes of them."""
+    """Directions of one call, their exact colours, and the results of plans."""
 
-    def __init__(self, given: Configuration, lights: np.ndarray, views: np.ndarray, *, threads: int | None) -> None:
-        self.given, self.device, self.threads = given, resolve_device(None), resolve_threads(threads)
-        coherence = given.coherence
+    def __init__(self, case: Configuration, lights: np.ndarray, views: np.ndarray, *, threads: int | None) -> None:
+        self.case, self.device, self.threads = case, resolve_device(None), resolve_threads(threads)
+        coherence = case.coherence
         self.scattering_vectors, self.lights = -lights - views, lights
         normal = reflectance_factors.normal_reflectance(1.5)
         self.gains = reflectance_factors.gain(
             lights, views, normal=normal, masking=True, per_light_cosine=coherence.kind == "source"
         )
         self.direction_range = DirectionRange.of(
-            given.heightfield, coherence, self.scattering_vectors, lights, self.gains > 0.0
+            case.heightfield, coherence, self.scattering_vectors, lights, self.gains > 0.0
         )
-        self.order_rate = order_rate(given.heightfield, coherence, self.scattering_vectors, lights)
+        self.order_rate = order_rate(case.heightfield, coherence, self.scattering_vectors, lights)
         self.w = np.abs(self.scattering_vectors[:, 2])
         exact = reference.reference_reflectance(
-            given.heightfield, lights, views, coherence, tolerance=given.tolerance / 5.0
+            case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
         floor = FLOOR * reference_luminance(exact[:, 1])
@@ -158,7 +161,7 @@ class Call:
         self._arrays: dict[int, Any] = {}
 
     def load(self, repeats: int) -> list[Any]:
-        """Directions on the device, that many times over."""
+        """Return the directions on the device, repeated."""
         import warp as wp
 
         if repeats not in self._arrays:
@@ -171,12 +174,12 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """A function that evaluates a plan, with its tables at hand; it takes the device's time only."""
-        heightfield, slices = self.given.heightfield, 8 if repeats == 1 else 64
+        """Return a function that evaluates a plan with prepared tables."""
+        heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
         )
-        quadrature = coefficient_table.quadrature_for(heightfield, plan, "D65", device=self.device)
+        quadrature = coefficient_table.quadrature_for(heightfield, plan, IlluminatedMaterial("D65"), device=self.device)
         *inputs, xyz = self.load(repeats)
 
         def evaluate() -> None:
@@ -189,23 +192,23 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """The error of each direction."""
+        """Return the error of each direction."""
         self.prepared(plan)()
-        found = self.load(1)[-1].numpy().astype(np.float64)
-        return np.nan_to_num(np.linalg.norm(found - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
+        xyz = self.load(1)[-1].numpy().astype(np.float64)
+        return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """The design's error (..., n) of a call: P99 of bright directions or of dim ones, whichever is larger."""
+        """Return the error of a call from errors (..., n): the larger P99 of bright and of dim directions."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """The same of a plan."""
+        """Return the error of a plan."""
         return float(self.worst(self.errors(plan)))
 
 
 class Bandwidths:
-    """All ways to give directions their sets of wavelengths: which set each takes, and how many that is in the mean."""
+    """All assignments of wavelength sets to directions, with the mean number of wavelengths."""
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
@@ -224,7 +227,7 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # Few wavelengths only for all directions alike.
+        # The smallest sets are equal for all directions.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -233,17 +236,17 @@ class Bandwidths:
         self.order = np.argsort(self.counts, kind="stable")
 
     def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
-        """The first in order of cost that keeps a tolerance, given errors of all sets, shape (sizes, n)."""
+        """Return the cheapest assignment that meets a tolerance, from errors of all sets, shape (sizes, n)."""
         columns = np.arange(errors.shape[1])
         for start in range(0, len(self.order), CHUNK):
-            some = self.order[start : start + CHUNK]
-            fit = call.worst(errors[self.which[some], columns]) <= tolerance
+            chunk = self.order[start : start + CHUNK]
+            fit = call.worst(errors[self.which[chunk], columns]) <= tolerance
             if fit.any():
-                return int(some[np.argmax(fit)])
+                return int(chunk[np.argmax(fit)])
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """A plan with these sets."""
+        """Return a plan with an assignment."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -252,50 +255,50 @@ class Bandwidths:
         return dataclasses.replace(plan, bandwidth_um=bandwidth, wavelengths=count, adaptive=c < 1.0)
 
 
-class Found(NamedTuple):
-    """A setting that keeps the tolerance."""
+class Setting(NamedTuple):
+    """A setting that meets the tolerance."""
 
     cost: float
     plan: wd.Plan
 
 
-def settings(call: Call, automatic: wd.Plan) -> list[Found]:
-    """The cheapest bandwidth for every method, number of terms and neighbours (or subdivisions) that comes near."""
-    given = call.given
-    tolerance = given.tolerance
+def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
+    """Return the cheapest bandwidth for every promising method, number of terms and neighbours (or subdivisions)."""
+    case = call.case
+    tolerance = case.tolerance
     bandwidths = Bandwidths(call, 2 * automatic.wavelengths)
     finest = dataclasses.replace(
         automatic, wavelengths=int(bandwidths.sizes[-1]), adaptive=False,
         least_weight=min(automatic.least_weight, math.exp(-MOST_EXPONENT)),
     )  # fmt: skip
-    found: list[Found] = []
+    results: list[Setting] = []
 
     def per_wavelength(plan: wd.Plan) -> float:
         many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
-        return cost_model.sampling_multiply_adds(given.heightfield, many, call.order_rate, call.w) / 1000.0
+        return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
-    def near(plan: wd.Plan) -> bool:
-        """Whether a plan's kernel, with the fewest wavelengths found so far, could be among the best."""
-        if not found:
+    def is_promising(plan: wd.Plan) -> bool:
+        """Whether a plan's kernel, with the fewest wavelengths so far, could be among the best."""
+        if not results:
             return True
-        best = min(each.cost for each in found)
-        fewest = min(each.cost / per_wavelength(each.plan) for each in found)
+        best = min(setting.cost for setting in results)
+        fewest = min(setting.cost / per_wavelength(setting.plan) for setting in results)
         return per_wavelength(plan) * fewest <= HOPELESS * best
 
     for method in METHODS:
-        if method in POWER_METHODS and not given.coherence.adds_powers:
+        if method in POWER_METHODS and not case.coherence.adds_powers:
             continue
         enough = 0
         for terms in range(coefficient_table.LANES, MAX_TERMS + 1, coefficient_table.LANES):
             with_terms = dataclasses.replace(finest, method=method, terms=terms)
             bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
-            if enough == MORE_TERMS or not near(bare):
+            if enough == MORE_TERMS or not is_promising(bare):
                 break
-            # A series far from its end has nothing to try.
+            # A series with far too few terms is skipped.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
                 argument = (
-                    2.0 * math.pi * call.direction_range.kappas[1] * expansion.offset_and_scale(given.heightfield)[1]
+                    2.0 * math.pi * call.direction_range.kappas[1] * expansion.offset_and_scale(case.heightfield)[1]
                 )
                 if terms < 0.5 * argument:
                     continue
@@ -303,7 +306,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Found]:
                 continue
             enough += 1
             for kernel in _neighbourhoods(call, with_terms, automatic):
-                if not near(kernel):
+                if not is_promising(kernel):
                     continue
                 errors = np.stack(
                     [call.errors(dataclasses.replace(kernel, wavelengths=int(size))) for size in bandwidths.sizes]
@@ -312,12 +315,12 @@ def settings(call: Call, automatic: wd.Plan) -> list[Found]:
                 if index is not None:
                     plan = bandwidths.plan(kernel, index)
                     if call.error(plan) <= tolerance * 1.001:
-                        found.append(Found(per_wavelength(kernel) * float(bandwidths.counts[index]), plan))
-    return found
+                        results.append(Setting(per_wavelength(kernel) * float(bandwidths.counts[index]), plan))
+    return results
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """A plan with the fewest neighbours that keep the tolerance and some more, or with all subdivisions."""
+    """Return a plan with the fewest neighbours that meet the tolerance and more, or with all subdivisions."""
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
         counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
@@ -329,7 +332,7 @@ def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Pl
     low, high = 0, round(MOST_EXPONENT / EXPONENT_STEP)
     while high - low > 1:
         middle = (low + high) // 2
-        if call.error(weighed(middle)) <= call.given.tolerance:
+        if call.error(weighed(middle)) <= call.case.tolerance:
             high = middle
         else:
             low = middle
@@ -337,24 +340,24 @@ def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Pl
 
 
 def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
-    """Microseconds a direction of each, all of them taking turns."""
+    """Return microseconds per direction of each plan, interleaved."""
     call.prepared(plans[0])()
     begin = time.perf_counter()
     call.prepared(plans[0])()
     once = max(time.perf_counter() - begin, 1e-5)
     repeats = int(np.clip(0.15 / once, 2, MOST_TIMED // DIRECTIONS))
     ready = [call.prepared(plan, repeats) for plan in plans]
-    taken: list[list[float]] = [[] for _ in plans]
+    seconds: list[list[float]] = [[] for _ in plans]
     for _ in range(rounds + 1):
-        for each, times in zip(ready, taken, strict=True):
+        for evaluate, times in zip(ready, seconds, strict=True):
             begin = time.process_time()
-            each()
+            evaluate()
             times.append(time.process_time() - begin)
-    return [1e6 * float(np.median(times[1:])) / (repeats * DIRECTIONS * call.threads) for times in taken]
+    return [1e6 * float(np.median(times[1:])) / (repeats * DIRECTIONS * call.threads) for times in seconds]
 
 
 class Result(NamedTuple):
-    """What one configuration shows."""
+    """Ratios of one configuration."""
 
     ratio: float
     predicted: float
@@ -363,43 +366,42 @@ class Result(NamedTuple):
     kernel: float
 
 
-def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Plan, search and measure one configuration: a row of the table and its numbers."""
+def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
+    """Plan, search and time one configuration; returns a row of the table and its numbers."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             automatic = wd.plan(
-                given.heightfield, given.lights, given.views, tolerance=given.tolerance, coherence=given.coherence,
-                method="low-rank" if given.coherence.kind != "replicas" else "auto", threads=threads,
+                case.heightfield, case.lights, case.views, tolerance=case.tolerance, coherence=case.coherence,
+                method="low-rank" if case.coherence.kind != "replicas" else "auto", threads=threads,
             )  # fmt: skip
         except ValueError as error:
-            return f"| {given} | refused: {error} |", None
+            return f"| {case} | refused: {error} |", None
         call, fresh = (
-            Call(given, given.lights[some], given.views[some], threads=threads)
-            for some in (slice(0, DIRECTIONS), slice(DIRECTIONS, 2 * DIRECTIONS))
+            Call(case, case.lights[part], case.views[part], threads=threads)
+            for part in (slice(0, DIRECTIONS), slice(DIRECTIONS, 2 * DIRECTIONS))
         )
         error, error_fresh = call.error(automatic), fresh.error(automatic)
-        found = sorted(settings(call, automatic), key=lambda each: each.cost)
-        if not found:
-            return f"| {given} | no setting of the grid keeps the tolerance; the plan's error {error:.1e} |", None
-        chosen = found[:TIMED]
+        candidates = sorted(settings(call, automatic), key=lambda setting: setting.cost)
+        if not candidates:
+            return f"| {case} | no setting of the grid meets the tolerance; the plan's error {error:.1e} |", None
+        chosen = candidates[:TIMED]
         for method in METHODS:
-            chosen += [each for each in found if each.plan.method == method][:1]
-        plans = list({id(each): each.plan for each in chosen}.values())
+            chosen += [setting for setting in candidates if setting.plan.method == method][:1]
+        plans = list({id(setting): setting.plan for setting in chosen}.values())
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # How the loss divides: samples in the mean, and all that each of them costs.
+    # The ratio is a product: mean number of samples, and cost per sample.
     costs = [
-        cost_model.sampling_multiply_adds(given.heightfield, each, call.order_rate, call.w)
-        for each in (automatic, best)
+        cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]
     bare = [
         cost_model.sampling_multiply_adds(
-            given.heightfield, dataclasses.replace(each, wavelengths=1000, adaptive=False), call.order_rate, call.w
+            case.heightfield, dataclasses.replace(plan, wavelengths=1000, adaptive=False), call.order_rate, call.w
         )
         / 1000.0
-        for each in (automatic, best)
+        for plan in (automatic, best)
     ]
     kernel = bare[0] / bare[1]
     result = Result(
@@ -407,7 +409,7 @@ def judge(given: Configuration, *, rounds: int, threads: int | None) -> tuple[st
         costs[0] / costs[1] / kernel, kernel,
     )  # fmt: skip
     row = (
-        f"| {given} | {times[0]:.2f} | {times[1 + at]:.2f} | {result.ratio:.2f} | {result.samples:.2f} "
+        f"| {case} | {times[0]:.2f} | {times[1 + at]:.2f} | {result.ratio:.2f} | {result.samples:.2f} "
         f"| {result.kernel:.2f} | {_numbers(automatic)} | {_numbers(best)} | {error:.1e} | {call.error(best):.1e} "
         f"| {result.predicted:.1f} | {error_fresh:.1e} | {result.fresh:.1f} |"
     )
@@ -424,19 +426,19 @@ def _numbers(plan: wd.Plan) -> str:
 
 
 def quartiles(values: list[float]) -> str:
-    """Median, quartiles and range in words."""
+    """Return median, quartiles and range as text."""
     low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100])
     return f"median {median:.2f}, quartiles {first:.2f} and {third:.2f}, range {low:.2f} to {high:.2f}"
 
 
 def main() -> None:
-    """Print the table and what it comes to."""
+    """Print the table and its summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40, help="configurations (40)")
-    parser.add_argument("--only", type=int, help="this configuration alone")
-    parser.add_argument("--seed", type=int, default=0, help="of everything drawn (0)")
+    parser.add_argument("--only", type=int, help="only this configuration")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
     parser.add_argument("--rounds", type=int, default=7, help="timed rounds (7)")
-    parser.add_argument("--threads", type=int, help="threads on the CPU (default: one a core)")
+    parser.add_argument("--threads", type=int, help="threads on the CPU (default: one per core)")
     parser.add_argument("--data", type=Path, help=inputs.HELP)
     options = parser.parse_args()
     data = inputs.folder(options.data)
@@ -444,40 +446,40 @@ def main() -> None:
     if options.only is not None:
         every = [every[options.only]]
     print(
-        "| surface | form | tolerance | µs, plan | µs, cheapest | ratio | of samples | of each | plan | cheapest "
-        "| error, plan | cheapest | predicted over it | error, fresh | predicted over it |"
+        "| surface | coherence | tolerance | µs, plan | µs, cheapest | ratio | of samples | per sample | plan "
+        "| cheapest | error, plan | cheapest | predicted / actual | error, fresh | predicted / actual |"
     )
     print("|" + " --- |" * 15)
     results: list[tuple[Configuration, Result]] = []
     missing = 0
     begin = time.perf_counter()
-    for given in every:
-        row, result = judge(given, rounds=options.rounds, threads=options.threads)
+    for case in every:
+        row, result = compare(case, rounds=options.rounds, threads=options.threads)
         print(row, flush=True)
         if result is None:
             missing += 1
         else:
-            results.append((given, result))
-    print(f"\n{len(results)} configurations in {time.perf_counter() - begin:.0f} s, {missing} without a figure")
+            results.append((case, result))
+    print(f"\n{len(results)} configurations in {time.perf_counter() - begin:.0f} s, {missing} without a result")
     if not results:
         return
-    print(f"time of the plan over the cheapest's: {quartiles([r.ratio for _, r in results])} (bar: median 2)")
+    print(f"time of the plan over the cheapest's: {quartiles([r.ratio for _, r in results])} (target: median 2)")
     for kind in KINDS:
-        some = [r.ratio for given, r in results if given.coherence.kind == kind]
-        if some:
-            print(f"- {kind}: {quartiles(some)}")
+        ratios = [r.ratio for case, r in results if case.coherence.kind == kind]
+        if ratios:
+            print(f"- {kind}: {quartiles(ratios)}")
     for tolerance in TOLERANCES:
-        some = [r.ratio for given, r in results if given.tolerance == tolerance]
-        if some:
-            print(f"- tolerance {tolerance:g}: {quartiles(some)}")
+        ratios = [r.ratio for case, r in results if case.tolerance == tolerance]
+        if ratios:
+            print(f"- tolerance {tolerance:g}: {quartiles(ratios)}")
     print(f"predicted samples, plan over cheapest: {quartiles([r.samples for _, r in results])}")
-    print(f"predicted cost of a sample, plan over cheapest: {quartiles([r.kernel for _, r in results])}")
+    print(f"predicted cost per sample, plan over cheapest: {quartiles([r.kernel for _, r in results])}")
     for label, values in (
-        ("the directions planned for", [r.predicted for _, r in results]),
+        ("planned directions", [r.predicted for _, r in results]),
         ("fresh directions", [r.fresh for _, r in results]),
     ):
-        within = sum(1.0 <= each <= 10.0 for each in values)
-        below = sum(each < 1.0 for each in values)
+        within = sum(1.0 <= ratio <= 10.0 for ratio in values)
+        below = sum(ratio < 1.0 for ratio in values)
         count = f"{within} of {len(values)} within 1 to 10, {below} below 1"
         print(f"predicted error over the measured one, {label}: {quartiles(values)}; {count}")
 

@@ -1,7 +1,7 @@
 """Figures of the README and of pictures, each made by ``python -m bench.reproduce.NAME``.
 
-- ``crops``: crops of pictures against their truth; ``tolerance_sweep``: random calls against their tolerance
-- ``lights``: lights of a size and environments against sums over many directions
+- ``crops``: crops of pictures against their reference; ``tolerance_sweep``: random calls against their tolerance
+- ``lights``: disc lights and environments against sums over many directions
 - ``published``, ``thesis``, ``variants``: the published algorithm and evaluation
 - ``cold_start``: time of a new process to its first picture
 """

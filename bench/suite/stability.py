@@ -303,9 +303,9 @@ def periods(which: slice = ALL) -> Panel:
             heightfield, lights, views, 1e3 * wavelength, coherence=coherence, tolerance=TOLERANCE
         )
         for name, power in {
-            PQ: methods.published_copies(turns, count, np.float32) * patch,
-            PQ64: methods.published_copies(turns, count) * patch,
-            PLAIN: methods.plain_copies(turns, count, np.float32) * patch,
+            PQ: methods.published_replicas(turns, count, np.float32) * patch,
+            PQ64: methods.published_replicas(turns, count) * patch,
+            PLAIN: methods.plain_replicas(turns, count, np.float32) * patch,
             NEAREST: nearest * (exact / patch),
             AUTOMATIC: rho[:, 0] / gain,
         }.items():

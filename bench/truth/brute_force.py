@@ -53,17 +53,17 @@ def intersect(origins, directions, vertices, faces, chunk=256):
         t_hit = np.where((least >= 0.0) & (t > 0.0), t, np.inf)
         index = np.argmin(t_hit, axis=1)
         row = np.arange(len(index))
-        found = np.isfinite(t_hit[row, index])
+        is_hit = np.isfinite(t_hit[row, index])
         t_best[rays] = t_hit[row, index]
-        face_best[rays] = np.where(found, index, -1)
-        bary[rays] = np.where(found[:, None], np.stack([u, v, w], axis=2)[row, index], 0.0)
+        face_best[rays] = np.where(is_hit, index, -1)
+        bary[rays] = np.where(is_hit[:, None], np.stack([u, v, w], axis=2)[row, index], 0.0)
         relevant = (t > 0.0) & (t <= t_hit[row, index][:, None] * (1.0 + 1e-9)) & np.isfinite(least)
         margin[rays] = np.min(np.where(relevant, np.abs(least), np.inf), axis=1)
     return t_best, face_best, bary, margin
 
 
 def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents, handedness, smooth=True):
-    """t, b, n (k, 3) of hits, as the design page words it."""
+    """Return t, b, n (k, 3) of hits."""
     corners = faces[face]
     p0, p1, p2 = (vertices[corners[:, k]] for k in range(3))
     geometric = np.cross(p1 - p0, p2 - p0)

@@ -1,8 +1,8 @@
-"""Random calls that judge plans: surfaces, coherence, tolerances and what is looked at, each from its index and a seed.
+"""Random calls that test plans: surface, coherence, tolerance and directions, each from its index and a seed.
 
-Coherence forms and tolerances take turns, so that every run of ``len(STRATA)`` indices has one of each; all else is
-drawn. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; BRDF maps;
-and frames of a mesh. ``bench.truth.judge`` evaluates and judges them.
+Coherences and tolerances are cycled, so that every run of ``len(STRATA)`` indices has one of each; everything else is
+random. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; reflectance
+maps; and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Copies have lobes that only a spectrum resolves: two tolerances are asked of them.
+# Periods have lobes that only a spectrum resolves, so they have two tolerances only.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
@@ -34,17 +34,17 @@ MATERIALS = (
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
-# Fewer than these are judged on all their directions.
+# Calls of fewer directions are evaluated on all of them.
 FEW = 4096
 MOST = 262_144
-# Where no table serves, a direction takes a tenth of a millisecond or more.
+# Without a table, a direction requires a tenth of a millisecond or more.
 MOST_SAMPLED = 32_768
-MOST_COPIES = 8_192
+MOST_REPLICAS = 8_192
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
-# Just within what 380 nm and |(u, v)| = 2 ask for.
+# Slightly below the pitch that 380 nm and |(u, v)| = 2 require.
 COARSEST_PITCH_UM = 0.0945
-# The reference sums a patch of copies sample by sample, and their lobes one by one.
+# The reference sums a replicated patch sample by sample, and its lobes one by one.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
 MAP_LIGHT_DEG = 75.0
@@ -63,7 +63,7 @@ class Picture(NamedTuple):
 
 
 class Configuration(NamedTuple):
-    """One call, and in words what it is."""
+    """One call, with a description in words."""
 
     index: int
     seed: int
@@ -88,14 +88,14 @@ class Configuration(NamedTuple):
         pitch = " × ".join(f"{p:.3g}" for p in self.heightfield.pitch_um)
         size = " × ".join(f"{s:.3g}" for s in self.heightfield.size_um)
         return (
-            f"{self.surface}, {size} µm, pitch {pitch}, height range {self.heightfield.height_range_um:.3g} µm; {self.coherence}"
-            f"; tolerance {self.tolerance:g}; {self.words}; {self.illuminant}"
+            f"{self.surface}, {size} µm, pitch {pitch}, height range {self.heightfield.height_range_um:.3g} µm; "
+            f"{self.coherence}; tolerance {self.tolerance:g}; {self.words}; {self.illuminant}"
             f"{'' if self.material is None else f'; {self.material}'}"
         )
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """The configuration of an index; a scan is a height field to crop, without which fingers stand in for it."""
+    """Return the configuration of an index; ``scan`` is a height field to crop, None replaces it by fingers."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -103,13 +103,13 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     heightfield, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
     coherence = a_coherence(rng, kind, heightfield)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
-    # Drawn apart, so that all else of a seed stays as it was.
+    # Drawn from a separate generator, so that everything else of a seed is unchanged.
     apart = np.random.default_rng([seed, index, 26])
     material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
     case = Configuration(
         index, seed, heightfield, coherence, tolerance, illuminant, name, layout, "", material=material
     )
-    most = MOST_COPIES if kind == "replicas" else MOST_SAMPLED if tolerance < 1e-2 else MOST
+    most = MOST_REPLICAS if kind == "replicas" else MOST_SAMPLED if tolerance < 1e-2 else MOST
     if layout == "frame":
         return a_frame(rng, case, most)
     if layout == "map":
@@ -159,7 +159,7 @@ def surface(rng, name, scan, *, small=False):
     else:
         length, width = log_uniform(rng, 0.3, 3.0), log_uniform(rng, 0.3, 3.0)
         apart = (1.0, 3.0) if name == "bumps" else (5.0, 12.0)
-        spacing = tuple(min(each * log_uniform(rng, *apart), 25.0) for each in (length, width))
+        spacing = tuple(min(extent * log_uniform(rng, *apart), 25.0) for extent in (length, width))
         pitch = rng.uniform(0.04, 0.09)
         heightfield = wd.gratings.bumps(width_um=width, length_um=length, spacing_um=spacing, pitch_um=pitch)
     heights, pitch = heightfield.heights_um, heightfield.pitch_um
@@ -204,7 +204,7 @@ def a_coherence(rng, kind, heightfield):
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":
         most = [max(1.0, min(3000.0, MOST_IN_STEP_UM / length)) for length in heightfield.size_um]
-        return wd.Coherence(kind, periods=tuple(max(1, round(log_uniform(rng, 1.0, each))) for each in most))
+        return wd.Coherence(kind, periods=tuple(max(1, round(log_uniform(rng, 1.0, count))) for count in most))
     centre = None
     if kind == "centred" and rng.random() < 0.5:
         centre = tuple(float(rng.uniform(0.0, length)) for length in heightfield.size_um)
@@ -229,8 +229,8 @@ def a_list(rng, case, most):
     spread = math.radians(log_uniform(rng, 0.3, 30.0))
     views = np.zeros((count, 3))
     ways = np.array(WAYS[:4])[rng.integers(4, size=count)] if way == "mixed" else np.full(count, way)
-    for each in np.unique(ways):
-        views[ways == each] = some_views(rng, each, lights[ways == each], spread, case.heightfield, case.coherence)
+    for kind in np.unique(ways):
+        views[ways == kind] = some_views(rng, kind, lights[ways == kind], spread, case.heightfield, case.coherence)
     order = ("as drawn", "sorted by u", "sorted by w")[rng.integers(3)]
     if order != "as drawn":
         by = np.argsort((lights + views)[:, 0 if order == "sorted by u" else 2], kind="stable")
@@ -249,22 +249,22 @@ def a_list(rng, case, most):
 def some_views(rng, way, lights, spread, heightfield, coherence):
     """A unit vector not beyond the steepest view for each light."""
     views = np.zeros_like(lights)
-    left = np.arange(len(lights))
-    while len(left):
-        light = lights[left]
+    pending = np.arange(len(lights))
+    while len(pending):
+        light = lights[pending]
         low, high = (LOWEST, math.cos(math.radians(75.0))) if way == "grazing" else (LOWEST, 1.0)
-        z, phi = rng.uniform(low, high, len(left)), rng.uniform(0.0, 2.0 * np.pi, len(left))
+        z, phi = rng.uniform(low, high, len(pending)), rng.uniform(0.0, 2.0 * np.pi, len(pending))
         s = np.sqrt(1.0 - z * z)
-        found = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+        candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
             # The mirror direction may itself lie at the steepest one; half of its neighbours do not.
-            found = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(left), 3))
-            found /= np.linalg.norm(found, axis=1, keepdims=True)
+            candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
+            candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":
-            found = by_an_order(rng, light, found, heightfield, coherence)
-        fine = found[:, 2] >= LOWEST
-        views[left[fine]] = found[fine]
-        left = left[~fine]
+            candidates = by_an_order(rng, light, candidates, heightfield, coherence)
+        accepted = candidates[:, 2] >= LOWEST
+        views[pending[accepted]] = candidates[accepted]
+        pending = pending[~accepted]
     return views
 
 

@@ -1,4 +1,4 @@
-"""The errors that charts and frames are judged by, of colours (n, 3) against exact ones."""
+"""Error measures of charts and frames, of colours (n, 3) against exact ones."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-# f, what dim colours' errors are relative to, as a share of Y*.
+# f, the floor of relative errors, as a share of Y*.
 FLOOR = 1e-3
 
 
@@ -18,7 +18,7 @@ def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
+    """Return the weighted percentile of values at a share of the total weight; 0 if there are none."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)
@@ -26,16 +26,16 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     return float(values[order][min(np.searchsorted(total, share * total[-1] * (1.0 - 1e-12)), len(values) - 1)])
 
 
-def relative(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """The design's, (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f)."""
+def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Return relative errors (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f)."""
     size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * reference_luminance(exact[:, 1]))
-    return np.asarray(np.linalg.norm(found - exact, axis=1) / size)
+    return np.asarray(np.linalg.norm(xyz - exact, axis=1) / size)
 
 
-def colour_difference(found: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """99th percentile of ΔE2000 against D65, exposed so that this Y is 1; of what is at most so bright.
+def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
+    """Return the 99th percentile of ΔE2000 against D65, exposed so that ``brightest`` is Y = 1.
 
-    By default it is the 99th percentile of Y.
+    Brighter colours are excluded. By default ``brightest`` is the 99th percentile of Y.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -45,5 +45,5 @@ def colour_difference(found: np.ndarray, exact: np.ndarray, brightest: float | N
     if not brightest or not inside.any():
         return math.nan
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    labs = [colour.XYZ_to_Lab(np.float64(each[inside]) / brightest, white) for each in (found, exact)]
+    labs = [colour.XYZ_to_Lab(np.float64(colours[inside]) / brightest, white) for colours in (xyz, exact)]
     return float(np.percentile(colour.delta_E(*labs, method="CIE 2000"), 99.0))

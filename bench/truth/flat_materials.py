@@ -1,4 +1,4 @@
-"""What flat materials reflect, by characteristic matrices (Abelès 1950; Born and Wolf, section 1.6), in float64.
+"""Reflectance of flat materials, by characteristic matrices (Abelès 1950; Born and Wolf, section 1.6), in float64.
 
 It shares no code with ``warpdiff.optics.materials``, which sums Fresnel's amplitudes.
 """
@@ -17,7 +17,7 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
     """R of a material in air, the mean of some polarisations; wavelengths [µm] and cosines broadcast; NaN stays."""
     wavelengths, cosines = np.broadcast_arrays(np.asarray(wavelengths_um, float), np.asarray(cosines, float))
     along = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
-    layers = [each for each in (material.film, material) if each is not None]
+    layers = [layer for layer in (material.film, material) if layer is not None]
     total = np.where(np.isfinite(cosines), 0.0, np.nan)
     cosines = np.nan_to_num(cosines, nan=1.0)
     for polarisation in polarisations:

@@ -1,8 +1,7 @@
 """Methods that the stability suite compares, in NumPy: series in either precision, fixed λ steps, fixed neighbours.
 
-The rows of the series come from ``warpdiff.diffraction.fourier_coefficients`` and ``warpdiff.diffraction.phase_series``, which are
-judged here; the powers are
-summed as the formulas say, one point after the other, and hold for the averaged form. Truth is elsewhere, in
+The rows of the series come from ``fourier_coefficients`` and ``phase_series`` of ``warpdiff.diffraction``. The powers
+are summed directly, one point after the other, for averaged windows. The reference is in
 ``reference`` and ``warpdiff.diffraction.direct_sum``.
 """
 
@@ -44,10 +43,12 @@ def outcome(call, *args, **keywords):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         try:
-            found = call(*args, **keywords)
+            result = call(*args, **keywords)
         except ValueError as error:
             return None, str(error)
-    return found, "; ".join(str(each.message) for each in caught if issubclass(each.category, wd.WarpdiffWarning))
+    return result, "; ".join(
+        str(warning.message) for warning in caught if issubclass(warning.category, wd.WarpdiffWarning)
+    )
 
 
 # Errors.
@@ -57,8 +58,8 @@ def percentile_99(errors):
     """The 99th percentile, infinite where one of the two values that it lies between is infinite or not a number."""
     finite = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(invalid="ignore"):
-        found = float(np.percentile(finite, 99.0))
-    return math.inf if math.isnan(found) else found
+        percentile = float(np.percentile(finite, 99.0))
+    return math.inf if math.isnan(percentile) else percentile
 
 
 def colour_error(xyz, truth):
@@ -142,8 +143,8 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 def near_resonance(heightfield, away, wavelength_um, seed=7):
     """Lights and views (n, 3) in the plane of one row, this part of a turn from whole turns between periods."""
     rng = np.random.default_rng(seed)
-    whole = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
-    turns = whole + away * rng.choice([-1.0, 1.0], len(whole)) * rng.uniform(0.7, 1.0, len(whole))
+    orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
+    turns = orders + away * rng.choice([-1.0, 1.0], len(orders)) * rng.uniform(0.7, 1.0, len(orders))
     light = np.array([0.2, 0.0, math.sqrt(0.96)])
     x = -turns * wavelength_um / heightfield.size_um[1] - light[0]
     x = x[np.abs(x) < 0.97]
@@ -221,8 +222,8 @@ def windowed_powers(
         method: One of ``METHODS`` or "exact".
         terms: Terms of the series.
         dtype: The arithmetic of the coefficients and of all sums.
-        neighbour_extent: Neighbours on either side; None is as many as count.
-        floor: Whether the middle one is found by floor() in place of rounding.
+        neighbour_extent: Neighbours on either side; None is all that contribute.
+        floor: Whether the middle one is found by floor() instead of rounding.
     """
     scattering_vectors = -(lights + views)
     tau = 1.0 / np.asarray(wavelengths_um)
@@ -261,7 +262,7 @@ def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
 
 
 def most_terms(heightfield, method, kappa, tolerance=1e-13):
-    """As many terms as a series takes for a tolerance, at most the library's most."""
+    """Return the number of terms of a series for a tolerance, at most the library's limit."""
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
@@ -334,7 +335,7 @@ def unforeshortened_colour(heightfield, lights, views, source):
 
 
 def order_wise_colour(heightfield, lights, views, *, sigma):
-    """XYZ by one point for each coefficient, where the direction passes it: the Gaussian's area times what is there."""
+    """Return XYZ by one point per coefficient, where the direction passes it: the Gaussian's area times the power."""
     table = reference.products("D65")
     scattering_vectors = -(lights + views)
     kappas = np.outer(
@@ -344,11 +345,11 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     gains, result = reference.gain(lights, views), np.zeros((len(lights), 3))
     for at, (u, v, w) in enumerate(scattering_vectors):
         square = u * u + v * v
-        neighbour_extent = math.sqrt(DEPTH / 4.0) / (math.pi * sigma)
+        radius = math.sqrt(DEPTH / 4.0) / (math.pi * sigma)
         ends = [
             np.arange(
-                math.ceil((min(ends) - neighbour_extent) * length),
-                math.floor((max(ends) + neighbour_extent) * length) + 1,
+                math.ceil((min(ends) - radius) * length),
+                math.floor((max(ends) + radius) * length) + 1,
             )
             for ends, length in (
                 ((v / 0.38, v / 0.78), heightfield.size_um[0]),
@@ -375,11 +376,11 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     return result
 
 
-# Copies.
+# Periods.
 
 
-def published_copies(turns, periods, dtype=np.float64):
-    """|(p + iq)/N|² of N copies (Single 2014, eq. 3.47, with N for his N + 1), at so many turns between periods."""
+def published_replicas(turns, periods, dtype=np.float64):
+    """|(p + iq)/N|² of N periods (Single 2014, eq. 3.47, with N for his N + 1), at a phase in turns between periods."""
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)
     with np.errstate(all="ignore"):
@@ -389,15 +390,15 @@ def published_copies(turns, periods, dtype=np.float64):
         return (p * p + q * q) / dtype(periods) ** 2
 
 
-def plain_copies(turns, periods, dtype=np.float64):
-    """[sin(πNt)/(N sin(πt))]² of N copies, as it stands: the argument is not reduced, the limit not taken."""
+def plain_replicas(turns, periods, dtype=np.float64):
+    """[sin(πNt)/(N sin(πt))]² of N periods, evaluated directly: the argument is not reduced, the limit not taken."""
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
         return (np.sin(dtype(periods) * angle) / (dtype(periods) * np.sin(angle))) ** 2
 
 
 def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
-    """|mean over one patch of one row|² between its orders, from the 2·reach + 1 orders nearest."""
+    """|mean over one patch of one row|² between its orders, from the 2·neighbour_extent + 1 nearest orders."""
     n, length = heightfield.shape[1], heightfield.size_um[1]
     coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
     t = scattering_vector[0] / wavelength_um * length

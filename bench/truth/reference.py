@@ -1,10 +1,10 @@
-"""The second tier of truth: colours of directions and of pixels in NumPy and float64; shares no code with the library.
+"""Float64 reference of colours of directions and pixels, in NumPy; shares no code with the library.
 
-Under a window or a source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ and is interpolated between
-them to rounding; all coefficients within nine widths of a direction count. Of whole copies, the sum over one patch is
-explicit at Chebyshev nodes in 1/λ and interpolated between them to rounding, which its length and height allow, and
-what the copies make of it is in closed form. The integral over λ is refined until it settles. What a test proves
-against ``direct`` is fast enough to judge whole pictures and sweeps.
+For a window or a source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ and is interpolated between them
+to rounding; all coefficients within nine widths of a direction are included. For a replicated patch, the sum over one
+patch is explicit at Chebyshev nodes in 1/λ and interpolated between them to rounding, and the factor of the periods is
+in closed form. The integral over λ is refined until it converges. Tests compare the reference with ``direct``; it is
+fast enough for whole pictures and sweeps.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from bench.truth.errors import FLOOR, reference_luminance
 
 WIDTHS = 9.0
-# A Gaussian exp(−WIDTHS²/2) is what is left out.
+# Exponent at which the Gaussian is truncated, exp(−WIDTHS²/2).
 DEPTH = WIDTHS**2 / 2.0
 # Wavenumbers 1/λ [1/µm] of the visible range, over which every integral goes.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
@@ -31,9 +31,9 @@ WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
 FEWEST_CELLS = 8
 MOST_CELLS = 1 << 19
-# Coefficients are looked up for so many nodes at a time: few enough that these lie near each other.
+# Nodes per look-up of coefficients: few enough that they lie near each other.
 BLOCK = 128
-# Copies are evaluated at so many nodes at a time, and samples of a patch summed so many at a time: that saves memory.
+# Limits of memory: nodes per evaluation of periods, and samples of a patch per sum.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
 # A mirror has Y = 1. What lies nine widths from everything ends in a step that no quadrature resolves.
@@ -43,7 +43,7 @@ XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0
 
 
 class Step(NamedTuple):
-    """What keeps the light in step: the same attributes as a ``wd.Coherence``, which may stand in its place."""
+    """Coherence, with the attributes of ``wd.Coherence``, which may replace it."""
 
     kind: str = "averaged"
     sigma_um: float | None = None
@@ -53,14 +53,14 @@ class Step(NamedTuple):
 
 
 def step_of(coherence, sigma, centre):
-    """The kind by name with σ [µm] and centre (y, x) [µm], or an object that has it all."""
+    """Return a coherence by its kind, σ [µm] and centre (y, x) [µm]; a coherence is returned unchanged."""
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """What evaluates ⟨|P|²⟩ of these deflections (n, 3) between two wavelengths [µm]."""
+    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) between two wavelengths [µm]."""
     return (
-        Copies(heightfield, step)
+        Replicas(heightfield, step)
         if step.kind == "replicas"
         else Coefficients(heightfield, step, scattering_vectors, shortest, longest)
     )
@@ -80,7 +80,7 @@ def chebyshev_cardinals(position, count):
 
 
 def chebyshev_terms(argument):
-    """Terms that hold exp(ix) for |x| up to the argument to rounding."""
+    """Return the number of terms that represent exp(ix) to rounding for |x| up to the argument."""
     return math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
 
 
@@ -101,20 +101,22 @@ class Coefficients:
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients that any direction comes near are kept, and where each of them is.
-        neighbour_extent = math.sqrt(DEPTH / self.rate(1.0 / shortest))
-        kept, self.places = [], []
+        # Only coefficients near any direction are stored, with their positions.
+        radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
+        indices, self.places = [], []
         for n, length, across in zip(
             self.shape, self.lengths, (scattering_vectors[:, 1], scattering_vectors[:, 0]), strict=True
         ):
-            most = math.ceil((np.abs(across).max() / shortest + neighbour_extent) * length) + 1
-            kept.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
+            most = math.ceil((np.abs(across).max() / shortest + radius) * length) + 1
+            indices.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
-            self.places[-1][kept[-1]] = np.arange(len(kept[-1]))
+            self.places[-1][indices[-1]] = np.arange(len(indices[-1]))
         # Rows are coefficients; in each the real parts at all nodes, then the imaginary ones.
-        self.rows = np.empty((len(kept[0]), len(kept[1]), 2, self.terms))
+        self.rows = np.empty((len(indices[0]), len(indices[1]), 2, self.terms))
         for node, at in enumerate(chebyshev_nodes(self.terms)):
-            sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[np.ix_(*kept)]
+            sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[
+                np.ix_(*indices)
+            ]
             self.rows[:, :, 0, node], self.rows[:, :, 1, node] = sampled.real, sampled.imag
         centre = step.centre_um
         if centre is None:
@@ -161,14 +163,14 @@ class Coefficients:
     def _power(self, scattering_vector, metric, tau):
         """The same for few τ in ascending order: every coefficient near any of them, for all of them."""
         across = scattering_vector[:2]
-        neighbour_extent = math.sqrt(DEPTH / self.rate(tau).min())
+        radius = math.sqrt(DEPTH / self.rate(tau).min())
         along_axis = np.sqrt(np.diag(np.linalg.inv(metric)))
         ends = np.outer([tau[0], tau[-1]], across)
         bounds = []
         for axis in (0, 1):
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
-            first = math.ceil((low - neighbour_extent * along_axis[axis]) * length)
-            last = math.floor((high + neighbour_extent * along_axis[axis]) * length)
+            first = math.ceil((low - radius * along_axis[axis]) * length)
+            last = math.floor((high + radius * along_axis[axis]) * length)
             # An axis of one sample is constant: it has no order but 0.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
@@ -177,15 +179,15 @@ class Coefficients:
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
-        near = np.einsum("ki,ij,kj->k", away, metric, away) <= neighbour_extent**2
+        near = np.einsum("ki,ij,kj->k", away, metric, away) <= radius**2
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
         # (τU − q)ᵀ A (τU − q), as a square about the nearest point and what is left across.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
-        left = np.einsum("ki,ij,kj->k", away, metric, away)
-        gaussian = np.exp(-self.rate(tau) * (left[:, None] + square * (tau - foot[:, None]) ** 2))
+        across_square = np.einsum("ki,ij,kj->k", away, metric, away)
+        gaussian = np.exp(-self.rate(tau) * (across_square[:, None] + square * (tau - foot[:, None]) ** 2))
         basis = chebyshev_cardinals((scattering_vector[2] * tau - self.low) / self.half - 1.0, self.terms)
         rows = self.rows[self.places[0][s % self.shape[0]], self.places[1][r % self.shape[1]]].reshape(-1, self.terms)
         value = (rows @ basis.T).reshape(len(r), 2, len(tau))
@@ -197,8 +199,8 @@ class Coefficients:
         return np.abs(amplitude) ** 2
 
 
-class Copies:
-    """A number of whole copies of a height field in step with each other."""
+class Replicas:
+    """Coherent periods of a replicated height field."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
@@ -208,13 +210,13 @@ class Copies:
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
         self.samples = np.stack([x.ravel(), y.ravel(), z.ravel()])
-        self.neighbour_extent = np.abs(self.samples).max(axis=1)
+        self.extent = np.abs(self.samples).max(axis=1)
         self.lengths, self.periods = (nx * dx, ny * dy), (step.periods[1], step.periods[0])
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """The largest cell in τ that resolves the lobes of the copies, and the least size that counts."""
-        turns = 2.0 * abs(scattering_vector[2]) * self.neighbour_extent[2]
+        """Return the largest cell in τ that resolves the lobes of the periods, and the least size that counts."""
+        turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
             abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)
         )
@@ -232,9 +234,9 @@ class Copies:
         for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True):
             turns = u * length * tau
             part = math.pi * (turns - np.rint(turns))
-            whole = np.abs(part) < 1e-12
-            safe = np.where(whole, 1.0, part)
-            result *= np.where(whole, 1.0, np.sin(n * safe) / (n * np.sin(safe))) ** 2
+            is_integer = np.abs(part) < 1e-12
+            safe = np.where(is_integer, 1.0, part)
+            result *= np.where(is_integer, 1.0, np.sin(n * safe) / (n * np.sin(safe))) ** 2
         return result
 
     def _patch(self, position):
@@ -247,7 +249,7 @@ class Copies:
 
     def _panels(self, scattering_vector, low, span):
         """The mean over the patch at Chebyshev's nodes in panels of equal length from low on, shape (panels, nodes)."""
-        argument = math.pi * span * (np.abs(scattering_vector) @ self.neighbour_extent)
+        argument = math.pi * span * (np.abs(scattering_vector) @ self.extent)
         panels = max(1, math.ceil(argument / 5.0))
         terms = chebyshev_terms(argument / panels)
         step = span / panels
@@ -340,8 +342,8 @@ def quadrature(cells, illuminant):
 
 
 def reference_spectral(
-    heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None, masking=True,
-    centre=None,
+    heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None,
+    masking=True, centre=None,
 ):  # fmt: skip
     """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
     step = step_of(coherence, sigma, centre)
@@ -410,7 +412,7 @@ def reference_reflectance(
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
     result = np.zeros((len(gains), 3))
     illuminated = gains > 0.0
-    found = colours(
+    xyz = colours(
         heightfield,
         -(to_light + to_view)[illuminated],
         to_light[illuminated],
@@ -419,7 +421,7 @@ def reference_reflectance(
         illuminant=illuminant,
         material=material,
     )
-    result[illuminated] = gains[illuminated, None] * found
+    result[illuminated] = gains[illuminated, None] * xyz
     return result
 
 
@@ -484,8 +486,8 @@ def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
 
 
 def reference_picture(
-    body, heightfield, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5, masking=True,
-    pigment=1.0, shadows=True, smooth=True, chunk=64,
+    body, heightfield, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5,
+    masking=True, pigment=1.0, shadows=True, smooth=True, chunk=64,
 ):  # fmt: skip
     """The given pixels of a picture, by index along rows from the top left.
 
@@ -546,8 +548,8 @@ def reference_picture(
             illuminated[illuminated] = ~np.isfinite(occluded)
         contribution = np.zeros((len(face), 3))
         contribution[illuminated] = reference_reflectance(
-            heightfield, to_light[illuminated], to_view[illuminated], step, tolerance=tolerance, illuminant=light.illuminant, ior=ior,
-            masking=masking,
+            heightfield, to_light[illuminated], to_view[illuminated], step, tolerance=tolerance,
+            illuminant=light.illuminant, ior=ior, masking=masking,
         )  # fmt: skip
         if pigment > 0.0 and body.texture is not None:
             base = bilinear(body.texture, np.einsum("kc,kcd->kd", bary, body.uvs[corners])[illuminated])
@@ -563,24 +565,24 @@ def reference_picture(
 
 
 class PictureError(NamedTuple):
-    """The design's error of a picture, on a sample of its pixels."""
+    """Error of a picture, on a sample of its pixels."""
 
     median: float
     p99: float
-    below: float  # 99th percentile of ‖ΔXYZ‖ / f of the lit pixels with Y < f
+    below: float  # 99th percentile of ‖ΔXYZ‖ / f of the illuminated pixels with Y < f
     share_below: float
     illuminated: int
     unsure: int
 
     def __str__(self):
         return (
-            f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.illuminated} lit pixels "
-            f"below f, there P99 {self.below:.1e}; {self.unsure} left out at edges"
+            f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.illuminated} "
+            f"illuminated pixels below f, their P99 {self.below:.1e}; {self.unsure} excluded at edges"
         )
 
 
 def stratified(mask, count, seed=0):
-    """Indices of ``count`` pixels of a mask, one drawn from each of as many runs of equal length along the rows."""
+    """Return indices of ``count`` pixels of a mask, one random pixel per run of equal length along the rows."""
     inside = np.flatnonzero(mask)
     edges = np.linspace(0.0, len(inside), count + 1)
     places = np.random.default_rng(seed).uniform(edges[:-1], edges[1:]).astype(int)
@@ -588,7 +590,7 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """The error of XYZ (k, 3) against ``Pixels``, over the lit ones."""
+    """Return the error of XYZ (k, 3) against ``Pixels``, over the illuminated ones."""
     use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
     floor = FLOOR * reference_luminance(exact[:, 1])

@@ -1,10 +1,10 @@
-"""Colours of pixels under a grey sky or a disc of light, by sums of the reflectance over directions.
+"""Colours of pixels under a grey sky or a disc light, by sums of the reflectance over directions.
 
-Nothing of an Environment, of a light of a size or of a footprint is used.
+The sums use no code of environments, disc lights or footprints.
 
-A pixel's rays are spread over its filter (a Gaussian of 0.5 pixel, cut at 1.5). Each has directions of its own on a
-grid of (x, y) in its shading frame, the grids of a pixel shifted so that together they are finer. dω cos θ is dx dy,
-and what comes from there is ρ L dω 4πσ²/λ² of light of the spectrum of D65.
+A pixel's rays are distributed over its filter (a Gaussian, σ 0.5 pixel, truncated at 1.5). Each has its own directions
+on a grid of (x, y) in its shading frame; the grids of a pixel are shifted, so that together they are finer. dω cos θ is
+dx dy, and the radiance from there is ρ L dω 4πσ²/λ² for light with the spectrum of D65.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Rays along a side of a pixel, that ray casts are rounded to.
+# Traced rays along a side of a pixel, to which samples are rounded.
 _ACROSS = 16
-# Distance of a ray's directions, in deviations of the lobes, and rays that are summed together.
+# Distance of a ray's directions, in standard deviations of the lobes, and number of rays that are summed together.
 _STEP, _RAYS = 1.2, 16
-# The share of directions by way of a mirror that lie within its lobe.
+# Share of the mirror directions that lie within the mirror's lobe.
 _CORE = 0.25
 
 
 class SkySums:
-    """Pixels of a mesh that are seen from somewhere, and a surface."""
+    """Sums for the pixels of a mesh with a height field."""
 
     def __init__(self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
-        """Cast the rays."""
+        """Trace the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
         frame = Picture(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
         frame.trace(0)
@@ -46,7 +46,7 @@ class SkySums:
         self._hit = pixels.hit.numpy().reshape(shape) != 0
         axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
         self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)
-        self._hf, self._coherence = heightfield, coherence
+        self._heightfield, self._coherence = heightfield, coherence
         self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
         nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
         d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
@@ -57,7 +57,7 @@ class SkySums:
         self._step = _STEP * 0.5 / (2.0 * math.pi * sigma)
 
     def interior(self) -> NDArray[np.int64]:
-        """Which pixels all rays of the filter meet the mesh from, by row and column, (n, 2)."""
+        """Return row and column of the pixels whose filter rays all hit the mesh, (n, 2)."""
         margin = 3 * _ACROSS // 2
         edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
         edges = np.pad(edges, ((1, 0), (1, 0)))
@@ -66,11 +66,11 @@ class SkySums:
         return np.argwhere(windows[::_ACROSS, ::_ACROSS] == 0)
 
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
-        """XYZ of pixels under a light of a size, by ``across``² rays each, (n, 3).
+        """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, (n, 3).
 
-        Rays are stratified over the filter, and so are directions, in an order of their own: a point of the disc for
-        one half of the rays, and for the other a direction by way of a mirror, as far from its own as that has digits.
-        Points of the disc alone tell of a mirror that all of it is dark, but for one in ten thousand.
+        Rays and directions are stratified independently. Half of the directions are points of the disc; the other half
+        lie around the mirror direction, at distances that are evenly spaced in their logarithm. Points of the disc
+        alone would miss a narrow mirror lobe in nearly all rays.
         """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
@@ -79,7 +79,7 @@ class SkySums:
         aside /= np.linalg.norm(aside)
         ends = np.stack([aside, np.cross(axis, aside), axis])
         narrowest = math.cos(math.radians(light.angular_diameter_deg / 2.0))
-        whole = 2.0 * math.pi * (1.0 - narrowest)
+        solid_angle = 2.0 * math.pi * (1.0 - narrowest)
         result = np.zeros((len(pixels), 3))
         for index, pixel in enumerate(pixels):
             at = self._rays(pixel, cells, across, rng)
@@ -99,20 +99,20 @@ class SkySums:
             inside = np.einsum("nk,nkc,c->n", lights, axes[:, :3], axis) >= narrowest * (1.0 - 1e-12)
             counted = inside & (lights[:, 2] > 0.0)
             lights, views = lights[counted], views[counted]
-            # Whichever way a direction came, by either.
-            density = 0.5 / whole + 0.5 * lights[:, 2] * self._density(np.hypot(*(lights + views)[:, :2].T))
-            rho = wd.reflectance(self._hf, lights, views, coherence=self._coherence, plan=self._plan)
-            result[index] = (1.0 / (whole * density)) @ rho / len(cells)
+            # The density of both kinds of directions.
+            density = 0.5 / solid_angle + 0.5 * lights[:, 2] * self._density(np.hypot(*(lights + views)[:, :2].T))
+            rho = wd.reflectance(self._heightfield, lights, views, coherence=self._coherence, plan=self._plan)
+            result[index] = (1.0 / (solid_angle * density)) @ rho / len(cells)
         return light.power * result
 
     @property
     def _mirror(self) -> tuple[float, float]:
-        """Up to where directions by way of a mirror are even in (u, v), and the logarithm of how far all go beyond."""
+        """Radius within which mirror directions are uniform in (u, v), and the logarithm of the largest over it."""
         within = 0.05 / (self._coherence.sigma_um or math.inf)
         return within, math.log(2.0 / within)
 
     def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(u, v) of such directions, for pairs of numbers from 0 to 1, (n, 2)."""
+        """Return (u, v) of mirror directions for pairs of numbers from 0 to 1, (n, 2)."""
         within, digits = self._mirror
         radius = np.where(
             share[:, 0] < _CORE,
@@ -123,7 +123,7 @@ class SkySums:
         return np.stack([radius * np.cos(around), radius * np.sin(around)], axis=-1)
 
     def _density(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How densely these lie over (u, v)."""
+        """Return the density of mirror directions over (u, v)."""
         within, digits = self._mirror
         beyond = (1.0 - _CORE) / (2.0 * math.pi * digits * np.maximum(radius, within) ** 2)
         return np.where(radius < within, _CORE / (math.pi * within**2), np.where(radius < 2.0, beyond, 0.0))
@@ -132,27 +132,27 @@ class SkySums:
     def _rays(
         pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Where among the rays that were cast those of a pixel's filter are, one in each of its ``across``² parts."""
+        """Return the indices of the traced rays of a pixel's filter, one in each of its ``across``² parts."""
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
     def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
-        """XYZ of pixels under a sky (height, width), by ``across``² rays each, (n, 3)."""
+        """Return XYZ of pixels under a sky (height, width), by ``across``² rays per pixel, (n, 3)."""
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
         result = np.zeros((len(pixels), 3))
         for index, pixel in enumerate(pixels):
             at = self._rays(pixel, cells, across, rng)
-            # Whichever ray it is, all shifts of the grid are there.
+            # Every ray has its own shift of the grid.
             shift = (rng.permutation(cells) + rng.random(cells.shape)) / across * self._step
             for first in range(0, len(cells), _RAYS):
-                some = slice(first, first + _RAYS)
-                axes = self._axes[at[some, 0], at[some, 1]].astype(np.float64)
-                result[index] += self._sum(axes, shift[some], sky) / len(cells)
+                part = slice(first, first + _RAYS)
+                axes = self._axes[at[part, 0], at[part, 1]].astype(np.float64)
+                result[index] += self._sum(axes, shift[part], sky) / len(cells)
         return result * self._step**2 * self._scale
 
     def _sum(self, axes: NDArray[np.float64], shift: NDArray[np.float64], sky: NDArray[np.float64]) -> NDArray[Any]:
-        """Sums over directions, of all rays, whose grids are shifted."""
+        """Return sums over directions of all rays, with shifted grids."""
         grid = np.arange(-1.0 - self._step, 1.0 + self._step, self._step)
         x = (grid + shift[:, :1])[:, :, None] + 0.0 * grid
         y = (grid + shift[:, 1:])[:, None, :] + 0.0 * grid[:, None]
@@ -162,19 +162,19 @@ class SkySums:
         along = np.einsum("nk,nkc->nc", lights, axes[ray, :3])
         views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])[ray]
         rho = wd.reflectance(
-            self._hf, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
+            self._heightfield, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
         )
         return np.asarray((radiance(sky, along) / lights[:, 2]) @ rho)
 
 
 def radiance(sky: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A sky's radiance in directions (n, 3): the middle column at −z, row 0 at +y, linear between pixels' centres."""
+    """Return a sky's radiance in directions (n, 3): middle column at −z, row 0 at +y, linear between centres."""
     height, width = sky.shape
     row = np.clip(np.arccos(np.clip(along[:, 1], -1.0, 1.0)) / math.pi * height - 0.5, 0.0, height - 1.000001)
     column = (np.arctan2(along[:, 0], -along[:, 2]) / (2.0 * math.pi) + 0.5) * width - 0.5
-    top, left = row.astype(int), np.floor(column).astype(int)
-    down, right = row - top, column - left
-    left, beside = left % width, (left + 1) % width
-    upper = (1.0 - right) * sky[top, left] + right * sky[top, beside]
-    lower = (1.0 - right) * sky[top + 1, left] + right * sky[top + 1, beside]
-    return np.asarray((1.0 - down) * upper + down * lower)
+    north, west = row.astype(int), np.floor(column).astype(int)
+    descent, fraction = row - north, column - west
+    west, east = west % width, (west + 1) % width
+    upper = (1.0 - fraction) * sky[north, west] + fraction * sky[north, east]
+    lower = (1.0 - fraction) * sky[north + 1, west] + fraction * sky[north + 1, east]
+    return np.asarray((1.0 - descent) * upper + descent * lower)

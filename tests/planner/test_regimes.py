@@ -257,9 +257,9 @@ def test_copies_near_resonance(periods, away):
     single, double, plain = (
         methods.spectral_error(form(turns, periods, dtype) * patch, power)
         for form, dtype in (
-            (methods.published_copies, np.float32),
-            (methods.published_copies, np.float64),
-            (methods.plain_copies, np.float32),
+            (methods.published_replicas, np.float32),
+            (methods.published_replicas, np.float64),
+            (methods.plain_replicas, np.float32),
         )
     )
     if away <= 1e-4:
@@ -274,7 +274,7 @@ def test_the_published_form_of_copies():
     """The design's figures, of angles wT: 5 % off at 1e-3, nothing at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
-            methods.published_copies(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)
+            methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)
             for dtype in (np.float64, np.float32)
         )
         angle = np.array([1e-3, 1e-4]) / 2.0
