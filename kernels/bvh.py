@@ -62,14 +62,10 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
 @wp.kernel
 def trace_bvh(
     # In:
-    camera: Camera,
-    surface: SurfaceArrays,
-    sampling: Sampling,
-    first: wp.int32,
-    run: wp.int32,
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, first: wp.int32, run: wp.int32,
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
-):
+):  # fmt: skip
     """Find the face that each ray sees through the hierarchy, where a GPU rasterizes none.
 
     Args:

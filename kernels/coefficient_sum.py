@@ -339,15 +339,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
         # In:
-        table: Table,
-        scattering_vectors: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        quadrature: Quadrature,
-        first: wp.int32,
+        table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
-    ):
+    ):  # fmt: skip
         """Add the XYZ of each direction to ``xyz_out``."""
         i = first + wp.tid()
         gain = gains[i]
@@ -399,15 +395,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def sample(
         # In:
-        table: Table,
-        scattering_vectors: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        wavenumbers: wp.array(dtype=wp.float64),
-        first: wp.int32,
+        table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), wavenumbers: wp.array(dtype=wp.float64), first: wp.int32,
         # Out:
         reflectance_out: wp.array2d(dtype=wp.float32),
-    ):
+    ):  # fmt: skip
         """ρ of each direction at each of the given wavelengths."""
         i = first + wp.tid()
         gain = gains[i]

@@ -135,15 +135,11 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         # In:
-        values: wp.array(dtype=row_t),
-        table: Colours,
-        level: wp.int32,
-        octave: wp.int32,
-        first: wp.int32,
+        values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
         run: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn.
 
         Sums over as many spokes on either side as the powers of the spline's pole count.
@@ -167,15 +163,10 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
         # In:
-        table: Colours,
-        source: wp.int32,
-        level: wp.int32,
-        octave: wp.int32,
-        first: wp.int32,
-        run: wp.int32,
+        table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
         # Out:
         values_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Values on the spokes of a level: a Gaussian around each of another level's coefficients.
 
         Their spline itself has a variance of a quarter of the distance of spokes, squared.
@@ -205,9 +196,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                     at = nearest + begin + i
                     starts[i] = table.first_rows[source, octave] + cyclic(at, azimuths) * rings
                     weights[i] = wp.where(
-                        begin + i <= half_taps,
-                        gaussian(wp.float32(at) - place, variance) / total,
-                        wp.float32(0.0),
+                        begin + i <= half_taps, gaussian(wp.float32(at) - place, variance) / total, wp.float32(0.0)
                     )
                 for ring in range(rings):
                     total_of_ring = values_out[azimuth * rings + ring]
@@ -220,13 +209,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         "xyz_out);"
     )
     def look_up_points(
-        table: Colours,
-        scattering_vectors: wp.array(dtype=wp.vec3d),
-        gains: wp.array(dtype=wp.float32),
-        begin: wp.int32,
-        end: wp.int32,
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ):
+        table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
+        begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
+    ):  # fmt: skip
         """Add the XYZ of a run of scattering vectors times their gains."""
 
     @wp.func_native(
@@ -235,34 +220,21 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         "footprints, begin, end, unserved_gain, xyz_out);"
     )
     def look_up_footprints(
-        table: Colours,
-        scattering_vectors: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=Footprint),
-        taps: FootprintTaps,
-        begin: wp.int32,
-        end: wp.int32,
-        unserved_gain: wp.array(dtype=wp.float32),
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ):
+        table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
+        end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
+    ):  # fmt: skip
         """Add the mean XYZ over footprints and the source of a run of scattering vectors times their gains."""
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
         # In:
-        table: Colours,
-        scattering_vectors: wp.array(dtype=wp.vec3d),
-        to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32),
-        footprints: wp.array(dtype=Footprint),
-        taps: FootprintTaps,
-        run: wp.int32,
+        table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, run: wp.int32,
         first: wp.int32,
         # Out:
-        unserved_gain: wp.array(dtype=wp.float32),
-        xyz_out: wp.array(dtype=wp.vec3f),
-    ):
+        unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
+    ):  # fmt: skip
         """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
 
         Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their

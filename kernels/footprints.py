@@ -18,13 +18,7 @@ LEAST_FACING = 1e-4
     f"{{{float(LEAST_COSINE)}f, {LEAST_FACING}f}}, footprints_out);"
 )
 def pixel_footprints_run(
-    camera: Camera,
-    surface: SurfaceArrays,
-    pixels: Pixels,
-    scattering_vectors: wp.array(dtype=wp.vec3d),
-    deviation: wp.float32,
-    begin: wp.int32,
-    end: wp.int32,
-    footprints_out: wp.array(dtype=Footprint),
-):
+    camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
+    deviation: wp.float32, begin: wp.int32, end: wp.int32, footprints_out: wp.array(dtype=Footprint),
+):  # fmt: skip
     """Footprints of rays one after the other."""

@@ -44,23 +44,12 @@ class Reflection:
     "illuminated_out);"
 )
 def scattering_vectors_run(
-    pixels: Pixels,
-    place: wp.vec4d,
-    reflection: Reflection,
-    scale: wp.float64,
-    counted: wp.float64,
-    begins: wp.bool,
-    resets: wp.bool,
-    occluded: wp.array(dtype=wp.bool),
-    begin: wp.int32,
-    end: wp.int32,
-    scattering_vectors_out: wp.array(dtype=wp.vec3d),
-    to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array(dtype=wp.float32),
-    xyz_out: wp.array(dtype=wp.vec3f),
-    coverage_out: wp.array(dtype=wp.float64),
+    pixels: Pixels, place: wp.vec4d, reflection: Reflection, scale: wp.float64, counted: wp.float64, begins: wp.bool,
+    resets: wp.bool, occluded: wp.array(dtype=wp.bool), begin: wp.int32, end: wp.int32,
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Deflections, directions to the light and gains of pixels one after the other, and what of them is summed up."""
 
 
@@ -84,25 +73,14 @@ def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32
 @wp.kernel
 def scattering_vectors(
     # In:
-    pixels: Pixels,
-    lights: Lights,
-    light_index: wp.int32,
-    reflection: Reflection,
-    weight: wp.float64,
-    counted: wp.float64,
-    begins: wp.bool,
-    resets: wp.bool,
-    occluded: wp.array(dtype=wp.bool),
-    first: wp.int32,
+    pixels: Pixels, lights: Lights, light_index: wp.int32, reflection: Reflection, weight: wp.float64,
+    counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool), first: wp.int32,
     run: wp.int32,
     # Out:
-    scattering_vectors_out: wp.array(dtype=wp.vec3d),
-    to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array(dtype=wp.float32),
-    xyz_out: wp.array(dtype=wp.vec3f),
-    coverage_out: wp.array(dtype=wp.float64),
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Deflection, direction to the light and gain of pixels under one of the lights.
 
     All that meet the mesh have a deflection, and where the light does not come their gain is 0. Its pigment is added to
@@ -164,14 +142,11 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
 @wp.kernel
 def balance_energy(
     # In:
-    scattering_vectors: wp.array(dtype=wp.vec3d),
-    to_lights: wp.array(dtype=wp.vec3f),
-    reflection: Reflection,
-    first: wp.int32,
-    run: wp.int32,
+    scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f), reflection: Reflection,
+    first: wp.int32, run: wp.int32,
     # Out:
     gains_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """Multiply gains by a(ωi) a(ωr)."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -186,17 +161,11 @@ def balance_energy(
 @wp.kernel
 def add_light_rotation(
     # In:
-    camera: Camera,
-    surface: SurfaceArrays,
-    pixels: Pixels,
-    lights: Lights,
-    light_index: wp.int32,
-    deviation: wp.float32,
-    first: wp.int32,
-    run: wp.int32,
+    camera: Camera, surface: SurfaceArrays, pixels: Pixels, lights: Lights, light_index: wp.int32,
+    deviation: wp.float32, first: wp.int32, run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
-):
+):  # fmt: skip
     """Add to footprints how the direction to a light at a place changes over them, in the plane of the face."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
@@ -240,14 +209,10 @@ def add_light_rotation(
 @wp.kernel
 def add_light_extent(
     # In:
-    lights: Lights,
-    light_index: wp.int32,
-    pixels: Pixels,
-    first: wp.int32,
-    run: wp.int32,
+    lights: Lights, light_index: wp.int32, pixels: Pixels, first: wp.int32, run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
-):
+):  # fmt: skip
     """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -271,15 +236,11 @@ def add_light_extent(
 @wp.kernel
 def select_material(
     # In:
-    gains: wp.array(dtype=wp.float32),
-    faces: wp.array(dtype=wp.int32),
-    materials: wp.array(dtype=wp.int32),
-    material: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    gains: wp.array(dtype=wp.float32), faces: wp.array(dtype=wp.int32), materials: wp.array(dtype=wp.int32),
+    material: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     gains_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """Gains of the pixels whose faces are of one material, and 0 elsewhere."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -292,16 +253,11 @@ def select_material(
 @wp.kernel
 def pixel_footprints(
     # In:
-    camera: Camera,
-    surface: SurfaceArrays,
-    pixels: Pixels,
-    scattering_vectors: wp.array(dtype=wp.vec3d),
-    deviation: wp.float32,
-    first: wp.int32,
-    run: wp.int32,
+    camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
+    deviation: wp.float32, first: wp.int32, run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
-):
+):  # fmt: skip
     """Footprints in (u, v) of rays' filters of a deviation in pixels."""
     thread, _ = wp.tid()
     begin = first + thread * run

@@ -99,31 +99,20 @@ _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_level
     f"warpdiff::rasterize_faces<{_MOST_CELLS}>(camera, surface, sampling, cells, max_offset, begin, end, nearest_out);"
 )
 def rasterize_run(
-    camera: Camera,
-    surface: SurfaceArrays,
-    sampling: Sampling,
-    cells: Cells,
-    max_offset: wp.float64,
-    begin: wp.int32,
-    end: wp.int32,
-    nearest_out: wp.array(dtype=wp.uint64),
-):
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, begin: wp.int32,
+    end: wp.int32, nearest_out: wp.array(dtype=wp.uint64),
+):  # fmt: skip
     """Rasterize a run of faces into the nearest face of each ray."""
 
 
 @wp.kernel
 def rasterize(
     # In:
-    camera: Camera,
-    surface: SurfaceArrays,
-    sampling: Sampling,
-    cells: Cells,
-    max_offset: wp.float64,
-    first: wp.int32,
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, first: wp.int32,
     run: wp.int32,
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
-):
+):  # fmt: skip
     """Find the face that each pixel's ray sees, or each cell's, by rasterizing faces: on the CPU alone.
 
     A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
@@ -179,13 +168,8 @@ def intersect_known_faces_run(
 @wp.kernel
 def intersect_known_faces(
     # In:
-    camera: Camera,
-    surface: SurfaceArrays,
-    sampling: Sampling,
-    pixels: Pixels,
-    first: wp.int32,
-    run: wp.int32,
-):
+    camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, first: wp.int32, run: wp.int32,
+):  # fmt: skip
     """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` or ``trace_bvh`` has found.
 
     Args:
@@ -207,14 +191,10 @@ def intersect_known_faces(
 @wp.kernel
 def place_samples(
     # In:
-    sample: wp.int32,
-    samples: wp.int32,
-    seed: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     offsets_out: wp.array(dtype=wp.vec2d),
-):
+):  # fmt: skip
     """Where a sample of each pixel lies, as ``pixel_offset`` has it."""
     for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
@@ -223,11 +203,8 @@ def place_samples(
 @wp.kernel
 def make_shading_frames(
     # In:
-    surface: SurfaceArrays,
-    pixels: Pixels,
-    first: wp.int32,
-    run: wp.int32,
-):
+    surface: SurfaceArrays, pixels: Pixels, first: wp.int32, run: wp.int32,
+):  # fmt: skip
     """The shading frames at what was met, and where shadow rays start.
 
     The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and

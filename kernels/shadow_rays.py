@@ -83,14 +83,11 @@ def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
 @wp.kernel
 def project(
     # In:
-    grid: ShadowGrid,
-    positions: wp.array(dtype=wp.vec3f),
-    faces: wp.array2d(dtype=wp.int32),
-    first: wp.int32,
+    grid: ShadowGrid, positions: wp.array(dtype=wp.vec3f), faces: wp.array2d(dtype=wp.int32), first: wp.int32,
     run: wp.int32,
     # Out:
     cells_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """Each face's corners as the light sees them, and how many cells its box overlaps; none if it needs no lists."""
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = light_coordinates(grid, positions[faces[face, 0]])
@@ -157,28 +154,20 @@ def fill(
     "occluded_out);"
 )
 def look_up(
-    grid: ShadowGrid,
-    towards: wp.vec3f,
-    pixels: Pixels,
-    begin: wp.int32,
-    end: wp.int32,
+    grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Whether faces in the lists hide what pixels one after the other see."""
 
 
 @wp.kernel
 def trace_shadow_rays(
     # In:
-    grid: ShadowGrid,
-    places: wp.array(dtype=wp.vec4d),
-    light_index: wp.int32,
-    pixels: Pixels,
-    first: wp.int32,
+    grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, pixels: Pixels, first: wp.int32,
     run: wp.int32,
     # Out:
     occluded_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
 
     ``grid`` is that of the same light, and has no lists for one at a place.

@@ -293,14 +293,9 @@ def mirrored_near_horizon(
 
 @wp.func
 def sum_cells(
-    sky: SkyMap,
-    table: SkyTable,
-    frame: HitFrame,
-    reflection: Reflection,
-    limit: wp.float32,
-    size: wp.int32,
+    sky: SkyMap, table: SkyTable, frame: HitFrame, reflection: Reflection, limit: wp.float32, size: wp.int32,
     pigment: wp.bool,
-) -> SkySum:
+) -> SkySum:  # fmt: skip
     """A sum over nodes, which are opened where they may err by more than a limit, or have more nodes than a size."""
     result = SkySum()
     count = table.nodes.shape[0]
@@ -389,20 +384,12 @@ def rotated_by(frame: HitFrame, reflection: Reflection, x: wp.float32, y: wp.flo
 @wp.kernel
 def mirror_directions(
     # In:
-    pixels: Pixels,
-    counted: wp.float64,
-    begins: wp.bool,
-    resets: wp.bool,
-    first: wp.int32,
-    run: wp.int32,
+    pixels: Pixels, counted: wp.float64, begins: wp.bool, resets: wp.bool, first: wp.int32, run: wp.int32,
     # Out:
-    scattering_vectors_out: wp.array(dtype=wp.vec3d),
-    to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array(dtype=wp.float32),
-    xyz_out: wp.array(dtype=wp.vec3f),
-    coverage_out: wp.array(dtype=wp.float64),
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """What ``scattering_vectors`` finds of pixels, for light that comes by way of a mirror, and gains of 1.
 
     Directions to the light are those of the world, which tell how even footprints are.
@@ -505,23 +492,12 @@ def frame_of(
 @wp.kernel
 def add_sky(
     # In:
-    sky: SkyMap,
-    table: SkyTable,
-    pixels: Pixels,
-    gains: wp.array(dtype=wp.float32),
-    footprints: wp.array(dtype=Footprint),
-    lights: Lights,
-    light_index: wp.int32,
-    reflection: Reflection,
-    mesh_id: wp.uint64,
-    cells: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    sky: SkyMap, table: SkyTable, pixels: Pixels, gains: wp.array(dtype=wp.float32),
+    footprints: wp.array(dtype=Footprint), lights: Lights, light_index: wp.int32, reflection: Reflection,
+    mesh_id: wp.uint64, cells: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
-    occluded_out: wp.array(dtype=wp.bool),
-    estimates_out: wp.array(dtype=wp.vec2f),
-    xyz_out: wp.array(dtype=wp.vec3f),
-):
+    occluded_out: wp.array(dtype=wp.bool), estimates_out: wp.array(dtype=wp.vec2f), xyz_out: wp.array(dtype=wp.vec3f),
+):  # fmt: skip
     """Add the sky's colours to those of pixels whose gain is not 0.
 
     ``occluded_out`` is set where the mesh hides any part of the sky; empty is that it hides none. ``estimates_out`` are

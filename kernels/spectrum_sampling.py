@@ -38,38 +38,21 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
         "divisions, highest, scale, excluded, begin, values_out);"
     )
     def sample_azimuth(
-        table: coefficients_t,
-        bases: wp.array(dtype=out_t),
-        sine: wp.float64,
-        cosine: wp.float64,
-        rings: wp.int32,
-        first_t: wp.float64,
-        ratio: wp.float64,
-        divisions: wp.int32,
-        highest: wp.float64,
-        scale: wp.float32,
-        excluded: wp.int32,
-        begin: wp.int32,
-        values_out: wp.array(dtype=out_t),
-    ):
+        table: coefficients_t, bases: wp.array(dtype=out_t), sine: wp.float64, cosine: wp.float64, rings: wp.int32,
+        first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
+        excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
+    ):  # fmt: skip
         """Integrals along a spoke in this direction, in coefficients, from the ring ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
         # In:
-        table: coefficients_t,
-        bases: wp.array(dtype=out_t),
-        azimuths: wp.int32,
-        rings_per_octave: wp.int32,
-        log_low: wp.float64,
-        divisions: wp.int32,
-        highest: wp.float64,
-        excluded: wp.int32,
-        start: wp.int32,
+        table: coefficients_t, bases: wp.array(dtype=out_t), azimuths: wp.int32, rings_per_octave: wp.int32,
+        log_low: wp.float64, divisions: wp.int32, highest: wp.float64, excluded: wp.int32, start: wp.int32,
         first: wp.int32,
         # Out:
         values_out: wp.array(dtype=out_t),
-    ):
+    ):  # fmt: skip
         """Integrals of the power spectrum along a spoke under the splines of an octave's rings.
 
         The first ring lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
@@ -98,19 +81,12 @@ def gatherer(lanes: int) -> Any:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def gather(
         # In:
-        coefficients: wp.array(dtype=row_t),
-        lines: wp.array(dtype=wp.int32),
-        angles: wp.array(dtype=wp.float32),
-        places: wp.array(dtype=wp.float32),
-        weights: wp.array(dtype=wp.float32),
-        begins: wp.array(dtype=wp.int32),
-        ends: wp.array(dtype=wp.int32),
-        rings: wp.int32,
-        blur: wp.float32,
-        first: wp.int32,
+        coefficients: wp.array(dtype=row_t), lines: wp.array(dtype=wp.int32), angles: wp.array(dtype=wp.float32),
+        places: wp.array(dtype=wp.float32), weights: wp.array(dtype=wp.float32), begins: wp.array(dtype=wp.int32),
+        ends: wp.array(dtype=wp.int32), rings: wp.int32, blur: wp.float32, first: wp.int32,
         # Out:
         values_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Integrals along a spoke, under the splines of its rings, of lines that are blurred in angle.
 
         Args:
@@ -160,16 +136,10 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         "at, length);"
     )
     def join_octaves(
-        values: wp.array(dtype=values_t),
-        starts: wp.array(dtype=wp.int32),
-        azimuths: wp.array(dtype=wp.int32),
-        rings: wp.int32,
-        octave: wp.int32,
-        first_azimuth: wp.int32,
-        sequence: wp.array(dtype=values_t),
-        at: wp.int32,
+        values: wp.array(dtype=values_t), starts: wp.array(dtype=wp.int32), azimuths: wp.array(dtype=wp.int32),
+        rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
-    ):
+    ):  # fmt: skip
         """Rows of a few spokes from one before an octave on, ``length`` of them for each spoke."""
 
     @wp.func_native(
@@ -177,37 +147,21 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         "weights, terms, rings, first_azimuth, rows_out);"
     )
     def project_azimuths(
-        sequence: wp.array(dtype=values_t),
-        at: wp.int32,
-        length: wp.int32,
-        skipped: wp.int32,
-        matrices: wp.array(dtype=w_basis_t),
-        weights: wp.array(dtype=wp.vec3f),
-        terms: wp.int32,
-        rings: wp.int32,
-        first_azimuth: wp.int32,
-        rows_out: wp.array(dtype=row_t),
-    ):
+        sequence: wp.array(dtype=values_t), at: wp.int32, length: wp.int32, skipped: wp.int32,
+        matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
+        first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
+    ):  # fmt: skip
         """Colours along a few spokes from their ``length`` rows; that of the first ring begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
         # In:
-        values: wp.array(dtype=values_t),
-        starts: wp.array(dtype=wp.int32),
-        azimuths: wp.array(dtype=wp.int32),
-        matrices: wp.array(dtype=w_basis_t),
-        weights: wp.array(dtype=wp.vec3f),
-        terms: wp.int32,
-        rings: wp.int32,
-        octave: wp.int32,
-        length: wp.int32,
-        sequence: wp.array(dtype=values_t),
-        first: wp.int32,
-        run: wp.int32,
+        values: wp.array(dtype=values_t), starts: wp.array(dtype=wp.int32), azimuths: wp.array(dtype=wp.int32),
+        matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
+        octave: wp.int32, length: wp.int32, sequence: wp.array(dtype=values_t), first: wp.int32, run: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Colours along a few spokes at a time, at the rings of an octave of |(u, v)|.
 
         Their red end lies in the same octave of frequencies, which has as many spokes as the next or half of them, and
@@ -222,16 +176,11 @@ def projector(lanes: int, w_basis_size: int) -> Any:
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project_lines(
         # In:
-        values: wp.array(dtype=values_t),
-        matrices: wp.array(dtype=w_basis_t),
-        weights: wp.array(dtype=wp.vec3f),
-        terms: wp.int32,
-        rings: wp.int32,
-        row_count: wp.int32,
-        first: wp.int32,
+        values: wp.array(dtype=values_t), matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f),
+        terms: wp.int32, rings: wp.int32, row_count: wp.int32, first: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Colours along a few spokes that have all ``row_count`` rings, those that the filter takes besides among them.
 
         The filter changes them.
@@ -254,13 +203,10 @@ def adder(w_basis_size: int) -> Any:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def add_product(
         # In:
-        values: wp.array(dtype=row_t),
-        factors: wp.array(dtype=wp.float32),
-        begins: wp.bool,
-        first: wp.int32,
+        values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         # Out:
         rows_out: wp.array(dtype=row_t),
-    ):
+    ):  # fmt: skip
         """Add the rings of a spoke, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings

@@ -72,20 +72,12 @@ def contrast_weight(hits: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.fl
 @wp.kernel
 def estimate_errors(
     # In:
-    colours: wp.array(dtype=wp.vec3f),
-    hits: Unevenness,
-    hit: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bound: wp.float32,
-    all_pixels: wp.bool,
-    subdivides_silhouettes: wp.bool,
-    first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), hits: Unevenness, hit: wp.array(dtype=wp.int32), width: wp.int32,
+    floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool, subdivides_silhouettes: wp.bool,
+    first: wp.int32, run: wp.int32,
     # Out:
-    errors_out: wp.array(dtype=wp.float32),
-    marks_out: wp.array(dtype=wp.uint8),
-):
+    errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
+):  # fmt: skip
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
     What does not meet the mesh differs in nothing from the pixel beside it, and is black.
@@ -150,13 +142,10 @@ def estimate_errors(
 @wp.kernel
 def any_occluded(
     # In:
-    occluded: wp.array(dtype=wp.bool),
-    begins: wp.bool,
-    first: wp.int32,
-    run: wp.int32,
+    occluded: wp.array(dtype=wp.bool), begins: wp.bool, first: wp.int32, run: wp.int32,
     # Out:
     occluded_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Add from where one lobe is hidden to where any of them is, which ``begins`` with the first."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -166,15 +155,11 @@ def any_occluded(
 @wp.kernel
 def add_occluded_power(
     # In:
-    occluded: wp.array(dtype=wp.bool),
-    strengths: wp.array(dtype=wp.vec2d),
-    lobe: wp.int32,
-    begins: wp.bool,
-    first: wp.int32,
-    run: wp.int32,
+    occluded: wp.array(dtype=wp.bool), strengths: wp.array(dtype=wp.vec2d), lobe: wp.int32, begins: wp.bool,
+    first: wp.int32, run: wp.int32,
     # Out:
     shadow_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """Add a lobe's strength to what is hidden from pixels, which ``begins`` with the first."""
     strength = wp.float32(strengths[lobe][0])
     thread, _ = wp.tid()
@@ -186,16 +171,11 @@ def add_occluded_power(
 @wp.kernel
 def add_penumbra_error(
     # In:
-    colours: wp.array(dtype=wp.vec3f),
-    shadow: wp.array(dtype=wp.float32),
-    strengths: wp.array(dtype=wp.vec2d),
-    lobe: wp.int32,
-    end: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), shadow: wp.array(dtype=wp.float32), strengths: wp.array(dtype=wp.vec2d),
+    lobe: wp.int32, end: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     errors_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """Add what pixels err by from which some of a light's lobes are hidden, one after the other: so large a step."""
     total = wp.float32(0.0)
     square = wp.float32(0.0)
@@ -217,51 +197,29 @@ def add_penumbra_error(
     "levels_out, has_unlit_quadrant_out, has_edge_out);"
 )
 def splat_cells_run(
-    colours: wp.array(dtype=wp.vec3f),
-    hit: wp.array(dtype=wp.int32),
-    occluded: wp.array(dtype=wp.bool),
-    gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32),
-    colours_before: wp.array(dtype=wp.vec3f),
-    errors_before: wp.array(dtype=wp.float32),
-    ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32),
-    level: wp.int32,
-    begin: wp.int32,
-    end: wp.int32,
-    filtered_sums_out: wp.array2d(dtype=wp.vec4f),
-    means_out: wp.array(dtype=wp.vec3f),
-    level_difference_out: wp.array(dtype=wp.float32),
-    levels_out: wp.array(dtype=wp.uint8),
-    has_unlit_quadrant_out: wp.array(dtype=wp.uint8),
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), occluded: wp.array(dtype=wp.bool),
+    gains: wp.array(dtype=wp.float32), pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
+    errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
+    level: wp.int32, begin: wp.int32, end: wp.int32, filtered_sums_out: wp.array2d(dtype=wp.vec4f),
+    means_out: wp.array(dtype=wp.vec3f), level_difference_out: wp.array(dtype=wp.float32),
+    levels_out: wp.array(dtype=wp.uint8), has_unlit_quadrant_out: wp.array(dtype=wp.uint8),
     has_edge_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Filtered sums of pixels one after the other."""
 
 
 @wp.kernel
 def splat_cells(
     # In:
-    colours: wp.array(dtype=wp.vec3f),
-    hit: wp.array(dtype=wp.int32),
-    occluded: wp.array(dtype=wp.bool),
-    gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32),
-    colours_before: wp.array(dtype=wp.vec3f),
-    errors_before: wp.array(dtype=wp.float32),
-    ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32),
-    level: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), occluded: wp.array(dtype=wp.bool),
+    gains: wp.array(dtype=wp.float32), pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
+    errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
+    level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
-    filtered_sums_out: wp.array2d(dtype=wp.vec4f),
-    means_out: wp.array(dtype=wp.vec3f),
-    level_difference_out: wp.array(dtype=wp.float32),
-    levels_out: wp.array(dtype=wp.uint8),
-    has_unlit_quadrant_out: wp.array(dtype=wp.uint8),
-    has_edge_out: wp.array(dtype=wp.bool),
-):
+    filtered_sums_out: wp.array2d(dtype=wp.vec4f), means_out: wp.array(dtype=wp.vec3f),
+    level_difference_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
+    has_unlit_quadrant_out: wp.array(dtype=wp.uint8), has_edge_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
     """Splat a pixel's cells through the filter: what they add to that pixel and to the eight around it.
 
     Args:
@@ -335,26 +293,14 @@ def levels_around(sums: FilteredSums, row: wp.int32, column: wp.int32, width: wp
 @wp.kernel
 def resolve_pixels(
     # In:
-    sums: FilteredSums,
-    pixels: wp.array(dtype=wp.int32),
-    width: wp.int32,
-    height: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bound: wp.float32,
-    converged_bound: wp.float32,
-    level: wp.int32,
-    must_subdivide: wp.bool,
-    silhouette_level: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    sums: FilteredSums, pixels: wp.array(dtype=wp.int32), width: wp.int32, height: wp.int32,
+    floor: wp.array(dtype=wp.float32), bound: wp.float32, converged_bound: wp.float32, level: wp.int32,
+    must_subdivide: wp.bool, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
-    colours_out: wp.array(dtype=wp.vec3f),
-    errors_out: wp.array(dtype=wp.float32),
-    coverage_out: wp.array(dtype=wp.float64),
-    illuminated_out: wp.array(dtype=wp.bool),
-    edges_out: wp.array(dtype=wp.bool),
-    marks_out: wp.array(dtype=wp.uint8),
-):
+    colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
+    coverage_out: wp.array(dtype=wp.float64), illuminated_out: wp.array(dtype=wp.bool),
+    edges_out: wp.array(dtype=wp.bool), marks_out: wp.array(dtype=wp.uint8),
+):  # fmt: skip
     """Set pixels to what cells give them; by how much that changed with the last levels is what they may err by.
 
     Args:
@@ -454,23 +400,13 @@ def resolve_pixels(
 @wp.kernel
 def select_cells(
     # In:
-    sums: FilteredSums,
-    tiles: wp.array(dtype=wp.int32),
-    marks: wp.array(dtype=wp.uint8),
-    colours: wp.array(dtype=wp.vec3f),
-    coverage: wp.array(dtype=wp.float64),
-    width: wp.int32,
-    height: wp.int32,
-    floor: wp.array(dtype=wp.float32),
-    bound: wp.float32,
-    level: wp.int32,
-    must_subdivide: wp.bool,
-    silhouette_level: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
+    colours: wp.array(dtype=wp.vec3f), coverage: wp.array(dtype=wp.float64), width: wp.int32, height: wp.int32,
+    floor: wp.array(dtype=wp.float32), bound: wp.float32, level: wp.int32, must_subdivide: wp.bool,
+    silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     chosen_out: wp.array(dtype=wp.uint8),
-):
+):  # fmt: skip
     """Whether pixels are split again: those by whose cells any pixel around that is wanted changes much.
 
     Args:
@@ -531,16 +467,11 @@ def select_cells(
 @wp.kernel
 def accumulate(
     # In:
-    colours: wp.array(dtype=wp.vec3f),
-    errors: wp.array(dtype=wp.float32),
-    illuminated: wp.array(dtype=wp.bool),
-    first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), errors: wp.array(dtype=wp.float32), illuminated: wp.array(dtype=wp.bool),
+    first: wp.int32, run: wp.int32,
     # Out:
-    xyz_out: wp.array(dtype=wp.vec3f),
-    errors_out: wp.array(dtype=wp.float32),
-    illuminated_out: wp.array(dtype=wp.bool),
-):
+    xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
     """Add a light's colours, what they err by, and what it reaches, to those of others."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

@@ -21,13 +21,10 @@ TINY = wp.constant(wp.float32(thresholds.TINY))
 @wp.kernel
 def luminance_histogram(
     # In:
-    colours: wp.array(dtype=wp.vec3f),
-    illuminated: wp.array(dtype=wp.bool),
-    first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), illuminated: wp.array(dtype=wp.bool), first: wp.int32, run: wp.int32,
     # Out:
     histogram_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if illuminated[i]:
@@ -106,14 +103,10 @@ def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int
 @wp.kernel
 def dilate_marks(
     # In:
-    marks: wp.array(dtype=wp.uint8),
-    width: wp.int32,
-    height: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
-):
+):  # fmt: skip
     """Mark the pixels that are marked and those around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         marks_out[i] = marks_around(marks, i, width, height)[1]
@@ -122,14 +115,10 @@ def dilate_marks(
 @wp.kernel
 def mark_interior(
     # In:
-    marks: wp.array(dtype=wp.uint8),
-    width: wp.int32,
-    height: wp.int32,
-    first: wp.int32,
-    run: wp.int32,
+    marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
-):
+):  # fmt: skip
     """Mark as settled the pixels that are not wanted but marked with all around them."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
@@ -139,13 +128,10 @@ def mark_interior(
 @wp.kernel
 def compact_marks(
     # In:
-    marks: wp.array(dtype=wp.uint8),
-    first: wp.int32,
-    run: wp.int32,
+    marks: wp.array(dtype=wp.uint8), first: wp.int32, run: wp.int32,
     # Out:
-    pixels_out: wp.array(dtype=wp.int32),
-    counts_out: wp.array(dtype=wp.int32),
-):
+    pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
     """The pixels that are marked, in whatever order: none depends on those beside it."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
@@ -155,14 +141,11 @@ def compact_marks(
 @wp.kernel
 def copy_batch(
     # In:
-    pixels: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    copied: wp.array(dtype=wp.int32),
-    first: wp.int32,
-    run: wp.int32,
+    pixels: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32), copied: wp.array(dtype=wp.int32),
+    first: wp.int32, run: wp.int32,
     # Out:
     pixels_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """The next pixels of a list, and −1 where there are no more."""
     for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         place = copied[0] + k

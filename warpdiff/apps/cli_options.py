@@ -58,15 +58,9 @@ class Flags:
         return self._parser.add_argument_group(title)
 
     def add(
-        self,
-        group: Any,
-        options: Mapping[str, Option],
-        *,
-        only: Iterable[str] | None = None,
-        names: Mapping[str, str] | None = None,
-        defaults: Mapping[str, Any] | None = None,
-        prefix: str = "",
-    ) -> None:
+        self, group: Any, options: Mapping[str, Option], *, only: Iterable[str] | None = None,
+        names: Mapping[str, str] | None = None, defaults: Mapping[str, Any] | None = None, prefix: str = "",
+    ) -> None:  # fmt: skip
         """Add a flag for each option.
 
         Args:

@@ -135,16 +135,12 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                     "fuze_elaphe",
                     "the scan on a textured bottle",
                     lambda progress: shade(
-                        data / MESH,
-                        scan,
-                        [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
+                        data / MESH, scan, [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
                         View(
                             (0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=pixels(360),
                             height=pixels(480),
                         ),
-                        pigment=0.25,
-                        tolerance=3e-2,
-                        progress=progress,
+                        pigment=0.25, tolerance=3e-2, progress=progress,
                     ),
                     -1.3,
                 )
@@ -153,15 +149,10 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
 
 
 def run(
-    output: str | os.PathLike[str],
-    *,
-    data: str | os.PathLike[str] | None = None,
-    scale: float = 1.0,
-    display: Display = "aces",
-    gamut: GamutName = "srgb",
-    say: Callable[[str], None] = lambda _line: None,
+    output: str | os.PathLike[str], *, data: str | os.PathLike[str] | None = None, scale: float = 1.0,
+    display: Display = "aces", gamut: GamutName = "srgb", say: Callable[[str], None] = lambda _line: None,
     progress: Progress = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Render the demonstration pictures into a folder.
 
     Args:

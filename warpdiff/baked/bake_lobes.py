@@ -65,17 +65,10 @@ _MOST_HEIGHT_UM = 12.0
 
 @checked
 def bake(
-    heightfield: HeightField,
-    *,
-    illuminant: str | Spectrum = "D65",
-    material: Material | None = None,
-    delta_e: Annotated[float, Interval(ge=0.2, le=20.0)] = 2.0,
-    coherence: Coherence | None = None,
-    strict: bool = True,
-    device: Any = None,
-    threads: Annotated[int, Ge(1)] | None = None,
-    progress: Progress = None,
-) -> BakedLobes:
+    heightfield: HeightField, *, illuminant: str | Spectrum = "D65", material: Material | None = None,
+    delta_e: Annotated[float, Interval(ge=0.2, le=20.0)] = 2.0, coherence: Coherence | None = None, strict: bool = True,
+    device: Any = None, threads: Annotated[int, Ge(1)] | None = None, progress: Progress = None,
+) -> BakedLobes:  # fmt: skip
     """Bake the colours of all directions into the smallest table that meets a colour difference.
 
     The table needs neither the height field nor this library's kernels: web pages and other renderers read it.
@@ -180,14 +173,9 @@ class _Bakery:
         return result
 
     def _table(
-        self,
-        grid: PolarGrid,
-        principal: NDArray[np.float64],
-        functions: NDArray[np.float32],
-        zeroth: NDArray[np.float32],
-        reflectances: NDArray[np.float32] | None,
-        progress: Callable[[float], None],
-    ) -> BakedLobes:
+        self, grid: PolarGrid, principal: NDArray[np.float64], functions: NDArray[np.float32],
+        zeroth: NDArray[np.float32], reflectances: NDArray[np.float32] | None, progress: Callable[[float], None],
+    ) -> BakedLobes:  # fmt: skip
         """A table with the nodes of a grid, judged."""
         memory.require_memory(
             _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",

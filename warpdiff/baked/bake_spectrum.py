@@ -29,14 +29,10 @@ _ENTRIES = 512
 
 @checked
 def bake_spectrum(
-    heightfield: HeightField,
-    *,
-    size: Annotated[int, Interval(ge=16, le=8192)] = 1024,
-    tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2,
-    coherence: Coherence | None = None,
-    device: Any = None,
-    threads: Annotated[int, Ge(1)] | None = None,
-) -> BakedSpectrum:
+    heightfield: HeightField, *, size: Annotated[int, Interval(ge=16, le=8192)] = 1024,
+    tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2, coherence: Coherence | None = None,
+    device: Any = None, threads: Annotated[int, Ge(1)] | None = None,
+) -> BakedSpectrum:  # fmt: skip
     """Bake the power spectrum of all directions and visible wavelengths.
 
     A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. Lobes narrower than a cell are blurred

@@ -90,11 +90,7 @@ class _Work:
 
 
 def parallel_for(
-    work: Callable[[Any], None],
-    items: Sequence[Any],
-    *,
-    threads: int,
-    progress: Callable[[float], None] | None = None,
+    work: Callable[[Any], None], items: Sequence[Any], *, threads: int, progress: Callable[[float], None] | None = None
 ) -> None:
     """Call ``work`` for each item: a thread that is free takes the next one.
 

@@ -112,27 +112,16 @@ class Pipeline:
 
 
 def launch(
-    kernel: Any,
-    size: int,
-    inputs: list[Any],
-    outputs: list[Any],
-    *,
-    in_runs: bool = False,
-    **options: Any,
+    kernel: Any, size: int, inputs: list[Any], outputs: list[Any], *, in_runs: bool = False, **options: Any
 ) -> None:
     """Launch one kernel: see :class:`KernelCall` and, for the options, :func:`launch_pipeline`."""
     launch_pipeline([KernelCall(kernel, inputs, outputs, in_runs)], size, **options)
 
 
 def launch_pipeline(
-    steps: Sequence[KernelCall],
-    elements: int | range,
-    *,
-    device: wp.Device,
-    threads: int,
-    slice_size: int = ELEMENTS_OF_SLICE,
-    progress: Callable[[float], None] | None = None,
-) -> None:
+    steps: Sequence[KernelCall], elements: int | range, *, device: wp.Device, threads: int,
+    slice_size: int = ELEMENTS_OF_SLICE, progress: Callable[[float], None] | None = None,
+) -> None:  # fmt: skip
     """Launch kernels, each of which reads of an element only values that earlier ones wrote of the same element.
 
     A launch on the CPU is a serial loop that releases the interpreter lock, so that slices run in parallel on threads,

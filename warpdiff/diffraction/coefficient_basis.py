@@ -125,15 +125,9 @@ def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
 
 @np.errstate(under="ignore")
 def of_series(
-    heightfield: HeightField,
-    method: str,
-    grid: Grid,
-    block: Block,
-    kappas: tuple[float, float],
-    *,
-    terms: int,
+    heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
-) -> Coefficients:
+) -> Coefficients:  # fmt: skip
     """The coefficients of a height field by a series, for |κ| in a range.
 
     Args:
@@ -235,10 +229,7 @@ def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[n
 
 
 def _principal_functions(
-    values: NDArray[np.float32],
-    weights: NDArray[np.float64],
-    scales: NDArray[np.float32],
-    strongest: NDArray[np.int64],
+    values: NDArray[np.float32], weights: NDArray[np.float64], scales: NDArray[np.float32], strongest: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Orthonormal functions of κ at its nodes, shape (m, m): those that span weighted coefficients best come first."""
     count = values.shape[-1]
@@ -253,10 +244,7 @@ def _principal_functions(
 
 
 def _truncation_errors(
-    sample: NDArray[np.float64],
-    principal: NDArray[np.float64],
-    back: NDArray[np.float64],
-    weights: NDArray[np.float64],
+    sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Largest weighted error over κ with 0, 1, … terms, at a percentile of the sample."""
     rows = sample @ principal

@@ -30,14 +30,10 @@ _BYTES_PER_NUMBER = 64.0
 
 
 def window_power(
-    heightfield: HeightField,
-    coherence: Coherence,
-    scattering_vectors: NDArray[np.float64],
-    wavelengths_um: NDArray[np.float64],
-    *,
-    to_lights: NDArray[np.float64] | None = None,
+    heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
+    wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """⟨|P|²⟩ of the height field under a window, a source or a number of periods.
 
     Args:
@@ -72,13 +68,9 @@ def window_power(
 
 @single_threaded_blas()
 def _coefficient_sum(
-    heightfield: HeightField,
-    coherence: Coherence,
-    field: NDArray[np.complex128],
-    q: NDArray[np.float64],
-    wavelength: float,
-    to_light: NDArray[np.float64] | None,
-) -> float:
+    heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
+    wavelength: float, to_light: NDArray[np.float64] | None,
+) -> float:  # fmt: skip
     """The sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² at the centre of the window."""
     # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs. Windows are round; a source is a disc about the ray to
     # the light, and from the surface it looks shorter along t, the tangential part of that ray.

@@ -114,15 +114,9 @@ class Block:
 
 
 def series_coefficients(
-    heightfield: HeightField,
-    expansion: Expansion,
-    terms: int,
-    block: Block,
-    *,
-    taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
-    threads: int = 1,
-    dtype: Any = np.complex128,
-) -> NDArray[np.complexfloating]:
+    heightfield: HeightField, expansion: Expansion, terms: int, block: Block, *,
+    taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None, threads: int = 1, dtype: Any = np.complex128,
+) -> NDArray[np.complexfloating]:  # fmt: skip
     """The F_n[s, r] of the module's formula, transformed in float64.
 
     Args:

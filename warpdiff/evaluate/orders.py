@@ -66,14 +66,10 @@ class OrderEfficiencies:
 
 @checked
 def order_efficiencies(
-    heightfield: HeightField,
-    to_light: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    *,
-    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None,
-    material: Material | None = None,
+    heightfield: HeightField, to_light: ArrayLike, wavelengths_nm: ArrayLike, *,
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, material: Material | None = None,
     energy: Energy | None = None,
-) -> OrderEfficiencies:
+) -> OrderEfficiencies:  # fmt: skip
     """Absolute efficiencies of all propagating orders of an endlessly repeated height field, in float64.
 
     Order (m_y, m_x) leaves where ωi + ωr = (m_x λ/Lx, m_y λ/Ly) along x and y (the grating equation, sin θi + sin θr =
@@ -151,13 +147,9 @@ def order_efficiencies(
 
 
 def _balance(
-    heightfield: HeightField,
-    light: NDArray[np.float64],
-    orders: NDArray[np.int64],
-    views: NDArray[np.float64],
-    mirrors: NDArray[np.float64],
-    wavelength_um: float,
-) -> NDArray[np.float64]:
+    heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
+    mirrors: NDArray[np.float64], wavelength_um: float,
+) -> NDArray[np.float64]:  # fmt: skip
     """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
     if len(orders) > energy_normalisation.MOST_EXACT:
         factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)

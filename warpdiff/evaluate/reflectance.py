@@ -47,14 +47,9 @@ _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller hei
 
 @accepts(SpectralSettings)
 def spectral_reflectance(
-    heightfield: HeightField,
-    to_light: ArrayLike,
-    to_view: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    *,
-    progress: Progress = None,
-    **settings: Unpack[SpectralKeywords],
-) -> NDArray[Any]:
+    heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
+    progress: Progress = None, **settings: Unpack[SpectralKeywords],
+) -> NDArray[Any]:  # fmt: skip
     """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
 
     ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). It is a
@@ -82,14 +77,9 @@ def spectral_reflectance(
 
 @accepts(EvaluationSettings)
 def reflectance(
-    heightfield: HeightField,
-    to_light: ArrayLike,
-    to_view: ArrayLike,
-    *,
-    illuminant: str | Spectrum = "D65",
-    progress: Progress = None,
-    **settings: Unpack[EvaluationKeywords],
-) -> NDArray[Any]:
+    heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, *, illuminant: str | Spectrum = "D65",
+    progress: Progress = None, **settings: Unpack[EvaluationKeywords],
+) -> NDArray[Any]:  # fmt: skip
     """Colour of the reflectance: ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
 
     Args:
@@ -113,15 +103,10 @@ def reflectance(
 
 @accepts(EvaluationSettings)
 def reflectance_map(
-    heightfield: HeightField,
-    to_light: ArrayLike,
-    *,
-    size: Annotated[int, Ge(2)] = 512,
-    illuminant: str | Spectrum = "D65",
-    samples_per_pixel: Annotated[int, Ge(1)] = 1,
-    progress: Progress = None,
+    heightfield: HeightField, to_light: ArrayLike, *, size: Annotated[int, Ge(2)] = 512,
+    illuminant: str | Spectrum = "D65", samples_per_pixel: Annotated[int, Ge(1)] = 1, progress: Progress = None,
     **settings: Unpack[EvaluationKeywords],
-) -> Image:
+) -> Image:  # fmt: skip
     """Colour of the reflectance over all view directions, seen from above.
 
     The picture is the unit disc of (sin θr cos φr, sin θr sin φr): x to the right, y up.
@@ -184,14 +169,9 @@ def reflectance_map(
 
 @accepts(BrdfSettings)
 def brdf(
-    heightfield: HeightField,
-    to_light: ArrayLike,
-    to_view: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    *,
-    progress: Progress = None,
-    **settings: Unpack[BrdfKeywords],
-) -> NDArray[Any]:
+    heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
+    progress: Progress = None, **settings: Unpack[BrdfKeywords],
+) -> NDArray[Any]:  # fmt: skip
     """Absolute BRDF [1/sr] (Stam 1999), never masked.
 
     R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence: 4πσ²/λ² for a window, which
@@ -320,15 +300,10 @@ class _Call:
 
 
 def direct_colour(
-    heightfield: HeightField,
-    scattering_vectors: NDArray[np.float64],
-    to_lights: NDArray[np.float64],
-    gains: NDArray[np.float64],
-    plan: Plan,
-    lit_material: IlluminatedMaterial,
-    *,
+    heightfield: HeightField, scattering_vectors: NDArray[np.float64], to_lights: NDArray[np.float64],
+    gains: NDArray[np.float64], plan: Plan, lit_material: IlluminatedMaterial, *,
     progress: Callable[[float], None] | None = None,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance.
 
     The first step is the one of the plan's bounds, which no order slips through.

@@ -38,12 +38,9 @@ def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
 
 
 def despike(
-    measured: NDArray[np.float64],
-    missing: NDArray[np.bool_],
-    pitch_um: tuple[float, float],
-    threshold: float,
+    measured: NDArray[np.float64], missing: NDArray[np.bool_], pitch_um: tuple[float, float], threshold: float,
     size_um: float,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """Replace elevations that stand out of the surface, see `HeightField.despiked`."""
     from scipy import ndimage
 

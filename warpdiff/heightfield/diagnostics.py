@@ -103,12 +103,8 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
     """Return the summary of a height field, see `HeightField.summary`."""
     pitch = coarsest_pitch_um(heightfield)
     return HeightFieldSummary(
-        shape=heightfield.shape,
-        size_um=heightfield.size_um,
-        pitch_um=heightfield.pitch_um,
-        height_range_um=heightfield.height_range_um,
-        rms_um=heightfield.rms_um,
-        rms_slope=heightfield.rms_slope,
+        shape=heightfield.shape, size_um=heightfield.size_um, pitch_um=heightfield.pitch_um,
+        height_range_um=heightfield.height_range_um, rms_um=heightfield.rms_um, rms_slope=heightfield.rms_slope,
         mean_slope=heightfield.mean_slope,
         periods=tuple(
             period
@@ -120,7 +116,7 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
         max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * pitch) if pitch else math.inf,
         scalar_error=scalar_error_bound(heightfield.rms_um, heightfield.mean_slope),
         missing=int(np.count_nonzero(heightfield.missing)),
-    )
+    )  # fmt: skip
 
 
 def warn_of_scale(heightfield: HeightField) -> None:

@@ -99,13 +99,9 @@ class HeightField:
 
     @classmethod
     def load(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        extent_um: float | tuple[float, float] | None = None,
-        pitch_um: float | tuple[float, float] | None = None,
-        height_range_um: float | None = None,
-    ) -> HeightField:
+        cls, path: str | os.PathLike[str], *, extent_um: float | tuple[float, float] | None = None,
+        pitch_um: float | tuple[float, float] | None = None, height_range_um: float | None = None,
+    ) -> HeightField:  # fmt: skip
         """Read a height field from a file.
 
         The suffix selects the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, and a grey image (any format that
@@ -513,12 +509,9 @@ def check_whole(heightfield: Any) -> None:
 
 
 def _pitch_of(
-    file: Path,
-    own_pitch: float | tuple[float, float] | None,
-    shape: tuple[int, ...],
-    extent_um: float | tuple[float, float] | None,
-    pitch_um: float | tuple[float, float] | None,
-) -> float | tuple[float, float]:
+    file: Path, own_pitch: float | tuple[float, float] | None, shape: tuple[int, ...],
+    extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None,
+) -> float | tuple[float, float]:  # fmt: skip
     """Return the pitch of a file's samples: its own, or that by exactly one of the arguments of `HeightField.load`."""
     names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
     if own_pitch is not None:

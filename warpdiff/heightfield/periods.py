@@ -163,11 +163,7 @@ class _Means:
 
     @classmethod
     def of(
-        cls,
-        heights: NDArray[np.float64],
-        known: NDArray[np.bool_],
-        pitch: tuple[float, float],
-        q: NDArray[np.float64],
+        cls, heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64]
     ) -> _Means:
         """Means over blocks of the size that a wave and its harmonics leave."""
         orders, blocks = _orders_and_blocks(q, heights.shape, pitch)

@@ -136,16 +136,11 @@ class Image:
 
     @np.errstate(under="ignore")
     def display(
-        self,
-        display: display_transform.Display = "aces",
-        *,
-        exposure: Annotated[float, Gt(0.0)] | None = None,
+        self, display: display_transform.Display = "aces", *, exposure: Annotated[float, Gt(0.0)] | None = None,
         exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-        exposure_from: Image | None = None,
-        gamut: display_transform.GamutName = "srgb",
-        background: Image | ArrayLike | None = None,
-        exact: bool = True,
-    ) -> NDArray[np.float32]:
+        exposure_from: Image | None = None, gamut: display_transform.GamutName = "srgb",
+        background: Image | ArrayLike | None = None, exact: bool = True,
+    ) -> NDArray[np.float32]:  # fmt: skip
         """Transform the picture to display RGB, encoded as sRGB is.
 
         Args:
@@ -177,14 +172,9 @@ class Image:
         return self._displayed(display, factor, gamut, background, exact=exact)
 
     def _displayed(
-        self,
-        display: display_transform.Display,
-        factor: float,
-        gamut: display_transform.GamutName,
-        background: Image | ArrayLike | None,
-        *,
-        exact: bool = True,
-    ) -> NDArray[np.float32]:
+        self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName,
+        background: Image | ArrayLike | None, *, exact: bool = True,
+    ) -> NDArray[np.float32]:  # fmt: skip
         """What :meth:`display` returns, at a linear factor."""
         behind = self._behind(background, display, factor, gamut, exact=exact)
         encoded = self._encoded(display, factor, gamut, exact=exact)
@@ -202,14 +192,9 @@ class Image:
         return result
 
     def _exposure(
-        self,
-        display: display_transform.Display,
-        exposure: float | None,
-        stops: float,
-        source: Image | None,
-        *,
+        self, display: display_transform.Display, exposure: float | None, stops: float, source: Image | None, *,
         scales: bool = True,
-    ) -> float:
+    ) -> float:  # fmt: skip
         """The linear factor that the arguments name; without any, 1 where nothing is to be scaled."""
         stops = validation.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
         validation.instance(source, Image, "exposure_from", optional=True)
@@ -235,14 +220,9 @@ class Image:
         return encoded
 
     def _behind(
-        self,
-        background: Image | ArrayLike | None,
-        display: display_transform.Display,
-        factor: float,
-        gamut: display_transform.GamutName,
-        *,
-        exact: bool,
-    ) -> NDArray[np.float64] | None:
+        self, background: Image | ArrayLike | None, display: display_transform.Display, factor: float,
+        gamut: display_transform.GamutName, *, exact: bool,
+    ) -> NDArray[np.float64] | None:  # fmt: skip
         """Linear light of a background, (3,) or (height, width, 3)."""
         if background is None:
             return None
@@ -272,17 +252,12 @@ class Image:
 
     @np.errstate(under="ignore")
     def save(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        display: display_transform.Display = "aces",
+        self, path: str | os.PathLike[str], *, display: display_transform.Display = "aces",
         exposure: Annotated[float, Gt(0.0)] | None = None,
         exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-        exposure_from: Image | None = None,
-        gamut: display_transform.GamutName = "srgb",
-        background: Image | ArrayLike | None = None,
-        bits: Bits = 8,
-    ) -> Path:
+        exposure_from: Image | None = None, gamut: display_transform.GamutName = "srgb",
+        background: Image | ArrayLike | None = None, bits: Bits = 8,
+    ) -> Path:  # fmt: skip
         """Write the picture to a file; an existing file is replaced once the new one is complete.
 
         Args:

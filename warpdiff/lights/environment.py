@@ -87,13 +87,9 @@ class Environment(Checked, Light):
 
     @classmethod
     def load(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        rotation_deg: float = 0.0,
-        scale: float = 1.0,
+        cls, path: str | os.PathLike[str], *, rotation_deg: float = 0.0, scale: float = 1.0,
         directions: int | None = None,
-    ) -> Environment:
+    ) -> Environment:  # fmt: skip
         """Load an environment from an EXR or HDR file in linear sRGB.
 
         Args:

@@ -39,13 +39,9 @@ def schlick(cosine: NDArray[np.float64], normal: float) -> NDArray[np.float64]:
 
 
 def gain(
-    to_light: NDArray[np.float64],
-    to_view: NDArray[np.float64],
-    *,
-    normal: float,
-    masking: bool,
+    to_light: NDArray[np.float64], to_view: NDArray[np.float64], *, normal: float, masking: bool,
     per_light_cosine: bool = False,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """The factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 where a direction is at or below the horizon.
 
     C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is Single 2014, eq. 3.15, with Schlick's power
@@ -120,10 +116,7 @@ def pigment_solid_angle(
 
 
 def brdf_scale(
-    cos_light: NDArray[np.float64],
-    wavelengths_um: NDArray[np.float64],
-    coherence: Coherence,
-    patch_area_um2: float,
+    cos_light: NDArray[np.float64], wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
     """1/(Ω cos θi): the absolute BRDF [1/sr] over R(0)·ρ, with ρ unmasked (Stam 1999).
 

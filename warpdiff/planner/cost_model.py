@@ -42,12 +42,9 @@ def wavelength_count(plan: Plan, order_rate: float, w: float) -> float:
 
 
 def sampling_multiply_adds(
-    heightfield: HeightField,
-    plan: Plan,
-    order_rates: NDArray[np.float64],
-    w: NDArray[np.float64],
+    heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
-) -> float:
+) -> float:  # fmt: skip
     """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2

@@ -101,13 +101,9 @@ _COARSE_TOLERANCE = 0.5
 
 @accepts(PlanSettings)
 def plan(
-    heightfield: HeightField,
-    to_light: ArrayLike | None = None,
-    to_view: ArrayLike | None = None,
-    *,
-    illuminant: str | Spectrum = "D65",
-    **settings: Unpack[PlanKeywords],
-) -> Plan:
+    heightfield: HeightField, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None, *,
+    illuminant: str | Spectrum = "D65", **settings: Unpack[PlanKeywords],
+) -> Plan:  # fmt: skip
     """Plan an evaluation of directions without computing it.
 
     Args:
@@ -249,13 +245,9 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     if method == "auto" and not is_searched:
         # Amplitudes take no longer.
         upper_bound_plan = _upper_bound_plan(
-            heightfield,
-            direction_range,
-            tolerance=tolerance,
-            method=trial.REFERENCE_METHOD,
-            coherence=coherence,
+            heightfield, direction_range, tolerance=tolerance, method=trial.REFERENCE_METHOD, coherence=coherence,
             colour=colour,
-        )
+        )  # fmt: skip
     if not is_searched and coherence.adds_powers:
         upper_bound_plan = replace(upper_bound_plan, least_weight=tolerance * _DARKEST)
     found = upper_bound_plan
@@ -273,13 +265,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     )
     if is_searched:
         found = search_plan(
-            found,
-            request,
-            direction_range,
-            sample,
-            footprint=blurs,
-            affordable=affordable,
-            is_truncated=is_truncated,
+            found, request, direction_range, sample, footprint=blurs, affordable=affordable, is_truncated=is_truncated
         )
     else:
         found = _with_cost(found, heightfield, sample)
@@ -293,15 +279,9 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def search_plan(
-    plan: Plan,
-    request: Evaluation,
-    direction_range: DirectionRange,
-    sample: DirectionSample,
-    *,
-    footprint: bool,
-    affordable: float,
-    is_truncated: bool,
-) -> Plan:
+    plan: Plan, request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, *, footprint: bool,
+    affordable: float, is_truncated: bool,
+) -> Plan:  # fmt: skip
     """The plan that a search finds from that of bounds, which is left where all is dark.
 
     A table may take ``affordable`` multiply-adds to make; 0 is none.
@@ -309,13 +289,9 @@ def search_plan(
     heightfield, tolerance, colour = request.heightfield, plan.tolerance, request.integrates
     method, integration = _expansion(request)
     coarse = _upper_bound_plan(
-        heightfield,
-        direction_range,
-        tolerance=_COARSE_TOLERANCE,
-        method=method,
-        coherence=plan.coherence,
+        heightfield, direction_range, tolerance=_COARSE_TOLERANCE, method=method, coherence=plan.coherence,
         colour=colour,
-    )
+    )  # fmt: skip
     # Half the wavelengths of bounds, which are ample, tell as well what is bright.
     coarse = replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0))
     coarse = replace(coarse, terms=min(coarse.terms, coefficient_table.LANES)) if method not in EXPANSIONS else coarse
@@ -367,14 +343,9 @@ def affordable_table_cost(heightfield: HeightField, plan: Plan, count: float) ->
 
 
 def _upper_bound_plan(
-    heightfield: HeightField,
-    direction_range: DirectionRange,
-    *,
-    tolerance: float,
-    method: str,
-    coherence: Coherence,
+    heightfield: HeightField, direction_range: DirectionRange, *, tolerance: float, method: str, coherence: Coherence,
     colour: bool,
-) -> Plan:
+) -> Plan:  # fmt: skip
     """The plan that follows from bounds alone."""
     series = AUTOMATIC if method in ("auto", "direct") else method
     # A fitted basis is made from the Jacobi-Anger series.
@@ -383,43 +354,21 @@ def _upper_bound_plan(
     terms = expansion.term_count(argument, tolerance * _AMPLITUDE_MARGIN)
     least_weight = tolerance * _WEIGHT_MARGINS[coherence.adds_powers]
     result = Plan(
-        method="direct" if method == "direct" else series,
-        coherence=coherence,
-        tolerance=tolerance,
-        terms=terms,
-        least_weight=least_weight,
-        wavelengths=0,
-        subdivisions=1,
-        bandwidth_um=_bandwidth_um(heightfield, coherence, tolerance),
-        adaptive=True,
-        rings_per_octave=0,
-        azimuths_per_width=0.0,
-        w_basis_size=0,
-        footprint=False,
-        refined_share=0.0,
-        light_sample_count=0,
-        unconverged_share=0.0,
-        unconverged_edge_share=0.0,
-        errors=(0.0, 0.0),
-        energy_spread=0.0,
-        max_uv=direction_range.max_uv,
-        max_order_rate=direction_range.max_order_rate,
-        min_w=direction_range.min_w,
-        max_w=direction_range.max_w,
-        lambda_min_nm=direction_range.lambda_min_nm,
-        lambda_max_nm=direction_range.lambda_max_nm,
-        height_range_um=heightfield.height_range_um,
+        method="direct" if method == "direct" else series, coherence=coherence, tolerance=tolerance, terms=terms,
+        least_weight=least_weight, wavelengths=0, subdivisions=1,
+        bandwidth_um=_bandwidth_um(heightfield, coherence, tolerance), adaptive=True, rings_per_octave=0,
+        azimuths_per_width=0.0, w_basis_size=0, footprint=False, refined_share=0.0, light_sample_count=0,
+        unconverged_share=0.0, unconverged_edge_share=0.0, errors=(0.0, 0.0), energy_spread=0.0,
+        max_uv=direction_range.max_uv, max_order_rate=direction_range.max_order_rate, min_w=direction_range.min_w,
+        max_w=direction_range.max_w, lambda_min_nm=direction_range.lambda_min_nm,
+        lambda_max_nm=direction_range.lambda_max_nm, height_range_um=heightfield.height_range_um,
         truncation=expansion.remainder(argument, terms),
         neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
         quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
-        rounding=_FLOAT32_ROUNDING * expansion.growth(argument),
-        aliasing=0.0,
-        scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope),
-        multiply_adds=0.0,
-        is_measured=False,
-        validation_size=0,
-        table_multiply_adds=0.0,
-    )
+        rounding=_FLOAT32_ROUNDING * expansion.growth(argument), aliasing=0.0,
+        scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope), multiply_adds=0.0,
+        is_measured=False, validation_size=0, table_multiply_adds=0.0,
+    )  # fmt: skip
     if method != "direct":
         _check_neighbours(heightfield, result)
     if colour:

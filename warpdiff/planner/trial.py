@@ -88,13 +88,7 @@ class Trial:
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        request: Evaluation,
-        direction_range: DirectionRange,
-        sample: DirectionSample,
-        *,
-        coarse: Plan,
+        self, plan: Plan, request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, *, coarse: Plan
     ) -> None:
         heightfield, device, threads = request.heightfield, request.device, request.threads
         self.heightfield, self._range, self._device, self._threads = heightfield, direction_range, device, threads

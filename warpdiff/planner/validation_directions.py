@@ -87,12 +87,9 @@ def sampled(
 
 
 def _draw(
-    candidates: DirectionSample,
-    among: NDArray[np.int64],
-    measure: NDArray[np.float64],
-    count: int,
+    candidates: DirectionSample, among: NDArray[np.int64], measure: NDArray[np.float64], count: int,
     stands_for: float = 1.0,
-) -> DirectionSample:
+) -> DirectionSample:  # fmt: skip
     """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once."""
     if len(among) <= count:
         return candidates.some(among, stands_for * candidates.weights[among])

@@ -41,17 +41,9 @@ class PixelRays:
     """
 
     def __init__(
-        self,
-        surface: Surface,
-        view: View,
-        *,
-        smooth: bool,
-        means: bool,
-        materials: bool,
-        margin: int,
-        device: wp.Device,
-        threads: int,
-    ) -> None:
+        self, surface: Surface, view: View, *, smooth: bool, means: bool, materials: bool, margin: int,
+        device: wp.Device, threads: int,
+    ) -> None:  # fmt: skip
         """Rays of a view, and of others of as many pixels.
 
         They have footprints if they show ``means``, gains of one of several ``materials``, and so many pixels more on

@@ -127,15 +127,9 @@ class SharedTileBuffers:
         self._free = [part * self._size for part in range(parts)]
 
     def meet(
-        self,
-        level: int,
-        pixels: NDArray[np.int32],
-        pipelines: Sequence[tuple[Pipeline, range]],
-        nearest: NDArray[np.uint64],
-        *,
-        threads: int,
-        progress: Callable[[float], None] | None,
-    ) -> None:
+        self, level: int, pixels: NDArray[np.int32], pipelines: Sequence[tuple[Pipeline, range]],
+        nearest: NDArray[np.uint64], *, threads: int, progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
         """Launch pipelines over the cells of pixels at a level, of whose rays ``nearest`` tells the faces.
 
         Each is for a range of the pixels; it adds colours to zeros, on so many threads, for each of which there is a

@@ -81,19 +81,10 @@ class Picture:
     """A picture of a surface, whose view and lights may change between renderings."""
 
     def __init__(
-        self,
-        surface: Surface,
-        view: View,
-        *,
-        smooth: bool = True,
-        samples: int = 1,
-        means: bool = False,
-        margin: int = 0,
-        materials_of_faces: NDArray[np.int32] | None = None,
-        device_driven: bool | None = None,
-        device: wp.Device,
-        threads: int,
-    ) -> None:
+        self, surface: Surface, view: View, *, smooth: bool = True, samples: int = 1, means: bool = False,
+        margin: int = 0, materials_of_faces: NDArray[np.int32] | None = None, device_driven: bool | None = None,
+        device: wp.Device, threads: int,
+    ) -> None:  # fmt: skip
         """A picture of so many samples per pixel, or of means over pixels that are split into at least as many cells.
 
         A ``margin`` of so many pixels on each side is rendered, too, and is not shown: what filters reach there.
@@ -171,18 +162,10 @@ class Picture:
         self._current: tuple[int | None, int | None] = (None, None)
 
     def set_lights(
-        self,
-        lights: Sequence[Lobe],
-        window: Coherence,
-        area_um2: float,
-        *,
-        normal: float,
-        materials: Sequence[Material | None] = (None,),
-        masking: bool = True,
-        energy: NDArray[np.float32] | None = None,
-        pigment: float = 0.0,
-        shadows: bool = True,
-    ) -> None:
+        self, lights: Sequence[Lobe], window: Coherence, area_um2: float, *, normal: float,
+        materials: Sequence[Material | None] = (None,), masking: bool = True, energy: NDArray[np.float32] | None = None,
+        pigment: float = 0.0, shadows: bool = True,
+    ) -> None:  # fmt: skip
         """Set the lights and the reflectance.
 
         Args:
@@ -335,14 +318,9 @@ class Picture:
                 yield light_index, subprogress(progress, index / passes, (index + 1) / passes)
 
     def integrate(
-        self,
-        lookup: ColourLookup,
-        *,
-        tolerance: float,
-        refine: bool = True,
-        progress: Callable[[float], None] | None = None,
-        previews: Sequence[tuple[float, Callable[[], None]]] = (),
-    ) -> None:
+        self, lookup: ColourLookup, *, tolerance: float, refine: bool = True,
+        progress: Callable[[float], None] | None = None, previews: Sequence[tuple[float, Callable[[], None]]] = (),
+    ) -> None:  # fmt: skip
         """Add the diffraction colours of all samples and lights.
 
         Where the host splits pixels, the picture of each ``previews`` tolerance, from the largest one on, is there when
@@ -377,16 +355,9 @@ class Picture:
         return steps
 
     def _colour_calls(
-        self,
-        lookup: ColourLookup,
-        light_index: int,
-        gbuffer: GBuffer,
-        colours: wp.array,
-        footprints: wp.array | None,
-        unserved_gain: wp.array,
-        *,
-        shadows: bool = True,
-    ) -> list[KernelCall]:
+        self, lookup: ColourLookup, light_index: int, gbuffer: GBuffer, colours: wp.array, footprints: wp.array | None,
+        unserved_gain: wp.array, *, shadows: bool = True,
+    ) -> list[KernelCall]:  # fmt: skip
         """The calls that add the colours of what rays see under a light, one material after the other."""
         scattering_vectors, to_lights, gains = gbuffer.directions
         if (sky := self._skies[light_index]) is not None:
@@ -416,14 +387,9 @@ class Picture:
         return self._unserved_gain
 
     def _integrate_means(
-        self,
-        lookup: ColourLookup,
-        *,
-        tolerance: float,
-        refine: bool,
-        progress: Callable[[float], None] | None,
+        self, lookup: ColourLookup, *, tolerance: float, refine: bool, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add means over pixels, which are split where one ray does not tell them."""
         if not self._errors:
             self._errors = [wp.empty(self._size, dtype=wp.float32, device=self._device) for _ in range(2)]
@@ -468,13 +434,9 @@ class Picture:
                 self._launch([KernelCall(subdivision.accumulate, [colours, errors, illuminated], sums, in_runs=True)])
 
     def _add_first_rays(
-        self,
-        lookup: ColourLookup,
-        lobes: range,
-        colours: wp.array,
-        unserved_gain: wp.array,
+        self, lookup: ColourLookup, lobes: range, colours: wp.array, unserved_gain: wp.array,
         progress: Callable[[float], None] | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add what pixels' own rays see under the lobes of a light."""
         gbuffer, strengths = self.gbuffer, self._lights.strengths
         has_penumbrae = self.casts_shadows and len(lobes) > 1
@@ -518,13 +480,7 @@ class Picture:
         return self._no_estimates if self._skies[lobes.start] is None else self._estimates
 
     def cell_calls(
-        self,
-        lookup: ColourLookup,
-        lobes: range,
-        level: int,
-        buffers: TileBuffers,
-        *,
-        shadows: bool,
+        self, lookup: ColourLookup, lobes: range, level: int, buffers: TileBuffers, *, shadows: bool
     ) -> list[KernelCall]:
         """The calls that add the colours of cells under a light to zeros in the buffers."""
         gbuffer, means = buffers.gbuffer, lookup.uses_footprints
@@ -711,11 +667,7 @@ class Picture:
             at_edges = share_beyond(error[illuminated & edges], EDGES_PER_TOLERANCE * plan.tolerance)
         light_sample_count = sum(1 if sky is None else sky.directions for sky in self._skies)
         return Image(
-            xyz=xyz,
-            mask=coverage > 0.0,
-            illuminated=illuminated,
-            coverage=coverage,
-            error=error,
+            xyz=xyz, mask=coverage > 0.0, illuminated=illuminated, coverage=coverage, error=error,
             plan=replace(
                 plan, light_sample_count=light_sample_count, refined_share=split, unconverged_share=inside,
                 unconverged_edge_share=at_edges, errors=(percentiles[0], percentiles[1]),

@@ -67,13 +67,9 @@ class Renderer:
 
     @accepts(PictureSettings)
     def __init__(
-        self,
-        mesh: Any,
-        heightfield: HeightField,
-        lights: Light | Sequence[Light],
-        view: View,
+        self, mesh: Any, heightfield: HeightField, lights: Light | Sequence[Light], view: View,
         **settings: Unpack[PictureKeywords],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Prepare pictures.
 
         The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
@@ -170,13 +166,9 @@ class Renderer:
         }  # fmt: skip
 
     def draw(
-        self,
-        lights: Light | Sequence[Light] | None = None,
-        view: View | None = None,
-        *,
-        progress: Progress = None,
+        self, lights: Light | Sequence[Light] | None = None, view: View | None = None, *, progress: Progress = None,
         previews: Mapping[float, Callable[[], object]] | None = None,
-    ) -> wp.array:
+    ) -> wp.array:  # fmt: skip
         """Draw the next picture.
 
         Args:

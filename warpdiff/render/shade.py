@@ -47,14 +47,9 @@ if TYPE_CHECKING:
 
 @accepts(SinglePictureSettings)
 def shade(
-    mesh: Any,
-    heightfield: HeightField,
-    lights: Light | Sequence[Light],
-    view: View,
-    *,
-    progress: Progress = None,
+    mesh: Any, heightfield: HeightField, lights: Light | Sequence[Light], view: View, *, progress: Progress = None,
     **settings: Unpack[SinglePictureKeywords],
-) -> Image:
+) -> Image:  # fmt: skip
     """Render a mesh whose surface carries a height field.
 
     A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share

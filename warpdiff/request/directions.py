@@ -111,14 +111,9 @@ class DirectionRange:
 
     @classmethod
     def of(
-        cls,
-        heightfield: HeightField,
-        coherence: Coherence,
-        scattering_vectors: NDArray[np.float64],
-        to_lights: NDArray[Any],
-        illuminated: NDArray[np.bool_],
-        wavelengths_nm: NDArray[np.float64] | None = None,
-    ) -> DirectionRange:
+        cls, heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
+        to_lights: NDArray[Any], illuminated: NDArray[np.bool_], wavelengths_nm: NDArray[np.float64] | None = None,
+    ) -> DirectionRange:  # fmt: skip
         """The scope of lit ones among deflections and directions to the light, both of shape (n, 3)."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:

@@ -67,15 +67,9 @@ class Evaluation:
 
     @classmethod
     def of(
-        cls,
-        heightfield: Any,
-        settings: CommonSettings,
-        *,
-        illuminants: tuple[Any, ...] = (),
-        wavelengths_nm: NDArray[Any] | None = None,
-        by_geometry: bool = False,
-        footprint: bool = False,
-    ) -> Evaluation:
+        cls, heightfield: Any, settings: CommonSettings, *, illuminants: tuple[Any, ...] = (),
+        wavelengths_nm: NDArray[Any] | None = None, by_geometry: bool = False, footprint: bool = False,
+    ) -> Evaluation:  # fmt: skip
         """Resolve checked settings for a height field; materials by the names of geometries take ``by_geometry``."""
         check_whole(heightfield)
         for illuminant in illuminants:

@@ -26,15 +26,9 @@ __all__ = ["disc", "snake", "tube"]
     "a body of this many faces", f"take fewer {ref('segments_along')}, or fewer {ref('segments_around')}"
 )
 def tube(
-    *,
-    radius: float = 0.12,
-    length: float = 3.0,
-    bend_deg: float = 50.0,
-    waves: float = 1.5,
-    tangent: Tangent = "around",
-    segments_along: int = 256,
-    segments_around: int = 96,
-) -> trimesh.Trimesh:
+    *, radius: float = 0.12, length: float = 3.0, bend_deg: float = 50.0, waves: float = 1.5,
+    tangent: Tangent = "around", segments_along: int = 256, segments_around: int = 96,
+) -> trimesh.Trimesh:  # fmt: skip
     """Make the body of a snake: a round tube that winds from side to side, with a blunt head and a tapering tail.
 
     The tube lies in the xz plane about the origin, from the head at −x to the tail at +x, with its back towards +y. The

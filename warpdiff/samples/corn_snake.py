@@ -95,17 +95,9 @@ class _Patch(NamedTuple):
 
 @np.errstate(under="ignore")
 def snake(
-    *,
-    radius: float = 0.12,
-    length: float = 4.6,
-    bend_deg: float = 95.0,
-    waves: float = 1.75,
-    tangent: Tangent = "around",
-    scale_rows: int = 27,
-    ventrals: int = 130,
-    segments: int = 4,
-    seed: int = 0,
-) -> trimesh.Trimesh:
+    *, radius: float = 0.12, length: float = 4.6, bend_deg: float = 95.0, waves: float = 1.75,
+    tangent: Tangent = "around", scale_rows: int = 27, ventrals: int = 130, segments: int = 4, seed: int = 0,
+) -> trimesh.Trimesh:  # fmt: skip
     """Make a corn snake on the plane y = 0: overlapping scales, shields on its head, saddles on its back.
 
     The snake lies about the y axis, from the head at −x to the tail at +x, with its back towards +y. The centre line is
@@ -369,10 +361,7 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
 def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
     """Strips between edges, ``u`` rows and half as many scales wide in the texture."""
     corners = tuple(np.concatenate(pair, axis=1) for pair in zip(top, low, strict=True))
-    texture = (
-        np.concatenate([top[0], top[0] + u], axis=1),
-        np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1),
-    )
+    texture = (np.concatenate([top[0], top[0] + u], axis=1), np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1))
     return _patches(corners, texture, faces, wall=True)
 
 

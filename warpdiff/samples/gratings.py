@@ -123,13 +123,9 @@ _DISCS = {
 
 
 def disc(
-    kind: DiscKind = "CD",
-    *,
-    tracks: int | None = None,
-    length_um: float = 25.6,
-    pitch_um: float = _COARSEST_PITCH_UM,
+    kind: DiscKind = "CD", *, tracks: int | None = None, length_um: float = 25.6, pitch_um: float = _COARSEST_PITCH_UM,
     seed: int = 0,
-) -> HeightField:
+) -> HeightField:  # fmt: skip
     """Make a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
 
     Pits are stadium-shaped, their walls one sample wide. Runs of pit and land last n channel bits, n random with the
@@ -221,13 +217,9 @@ def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDAr
 
 
 def bumps(
-    *,
-    height_um: float = 0.15,
-    width_um: float = 0.5,
-    length_um: float = 1.0,
-    spacing_um: float | tuple[float, float] = (2.0, 1.0),
-    pitch_um: float = _COARSEST_PITCH_UM,
-) -> HeightField:
+    *, height_um: float = 0.15, width_um: float = 0.5, length_um: float = 1.0,
+    spacing_um: float | tuple[float, float] = (2.0, 1.0), pitch_um: float = _COARSEST_PITCH_UM,
+) -> HeightField:  # fmt: skip
     """Make one cell of a lattice of bumps, of the size that Stam (1999, *Diffraction Shaders*) gives for a disc.
 
     Each bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where that is positive.
@@ -264,14 +256,9 @@ def bumps(
 
 @np.errstate(under="ignore")
 def fingers(
-    *,
-    size_um: float | tuple[float, float] = 25.6,
-    pitch_um: float | tuple[float, float] = 0.05,
-    period_um: float = 1.1,
-    length_um: float = 3.0,
-    height_um: float = 0.3,
-    seed: int = 0,
-) -> HeightField:
+    *, size_um: float | tuple[float, float] = 25.6, pitch_um: float | tuple[float, float] = 0.05,
+    period_um: float = 1.1, length_um: float = 3.0, height_um: float = 0.3, seed: int = 0,
+) -> HeightField:  # fmt: skip
     """Make quasi-periodic nano-fingers like those on a snake's shed skin.
 
     Ridges stand side by side along x. Each is a chain of fingers that widen along +y from a narrow tip to the tip of

@@ -92,15 +92,9 @@ class View(Checked):
 
     @classmethod
     def orthographic(
-        cls,
-        eye: ArrayLike,
-        target: ArrayLike,
-        *,
-        up: ArrayLike = (0.0, 1.0, 0.0),
-        extent_y: float,
-        width: int = 640,
+        cls, eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0), extent_y: float, width: int = 640,
         height: int = 480,
-    ) -> View:
+    ) -> View:  # fmt: skip
         """Make an orthographic camera; points behind the plane through ``eye`` are invisible.
 
         Args:
@@ -118,16 +112,10 @@ class View(Checked):
 
     @classmethod
     def fit(
-        cls,
-        mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
-        direction: ArrayLike | None = None,
-        *,
-        target: ArrayLike | None = None,
-        up: ArrayLike = (0.0, 1.0, 0.0),
-        fov_y_deg: float = 40.0,
-        width: int = 640,
-        height: int = 480,
-    ) -> View:
+        cls, mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
+        direction: ArrayLike | None = None, *, target: ArrayLike | None = None, up: ArrayLike = (0.0, 1.0, 0.0),
+        fov_y_deg: float = 40.0, width: int = 640, height: int = 480,
+    ) -> View:  # fmt: skip
         """Frame a mesh: the image holds its bounding sphere.
 
         Args:

@@ -150,10 +150,7 @@ def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def vertex_normals(
-    geometry: FaceGeometry,
-    faces: NDArray[np.int64],
-    welded: NDArray[np.int64],
-    own: NDArray[np.float64] | None,
+    geometry: FaceGeometry, faces: NDArray[np.int64], welded: NDArray[np.int64], own: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
     """Unit vertex normals, shape (3, n): given ones, on the side that the winding faces, else computed ones."""
     beside = geometry.angle_weighted_normals(faces, len(welded))
@@ -218,12 +215,9 @@ def join_seams(
 
 
 def fill(
-    field: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    welded: NDArray[np.int64],
+    field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
     name: str,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # fmt: skip
     """Give vertices without a tangent the mean of their neighbours', ring by ring."""
     missing = (field == 0.0).all(axis=0)
     if not missing.any():

@@ -125,16 +125,9 @@ def lanes_of(terms: int) -> int:
 
 
 def coefficients_for(
-    heightfield: HeightField,
-    method: str,
-    coherence: Coherence,
-    direction_range: DirectionRange,
-    neighbour_extent: tuple[int, int],
-    *,
-    terms: int,
-    threads: int,
-    to_fit: bool = False,
-) -> tuple[Coefficients, Block, Grid]:
+    heightfield: HeightField, method: str, coherence: Coherence, direction_range: DirectionRange,
+    neighbour_extent: tuple[int, int], *, terms: int, threads: int, to_fit: bool = False,
+) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
     """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
 
     Args:

@@ -101,14 +101,9 @@ class _Source:
 
 
 def table_for(
-    heightfield: HeightField,
-    plan: Plan,
-    direction_range: DirectionRange,
-    illuminated: IlluminatedMaterial,
-    *,
-    device: wp.Device,
-    threads: int,
-) -> tuple[Any, Any]:
+    heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
+    device: wp.Device, threads: int,
+) -> tuple[Any, Any]:  # fmt: skip
     """The kernel that looks colours up, and the struct that it reads, for a plan and for what a call has beyond it."""
     cache = coefficient_table.table_cache(heightfield)
     colours, spectra = cache.colours, cache.spectra
@@ -150,14 +145,9 @@ def table_for(
 
 
 def function_count(
-    heightfield: HeightField,
-    plan: Plan,
-    direction_range: DirectionRange,
-    illuminated: IlluminatedMaterial,
-    *,
-    device: wp.Device,
-    threads: int,
-) -> int:
+    heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
+    device: wp.Device, threads: int,
+) -> int:  # fmt: skip
     """Functions of w that colours of a plan's table share."""
     return int(
         _prepared(heightfield, plan, direction_range, illuminated, device=device, threads=threads)[1].w_basis.shape[1]
@@ -179,14 +169,9 @@ def _load_kernels(source: _Source, projection: Projection, plan: Plan, device: w
 
 
 def _prepared(
-    heightfield: HeightField,
-    plan: Plan,
-    direction_range: DirectionRange,
-    illuminated: IlluminatedMaterial,
-    *,
-    device: wp.Device,
-    threads: int,
-) -> tuple[_Source, Projection]:
+    heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
+    device: wp.Device, threads: int,
+) -> tuple[_Source, Projection]:  # fmt: skip
     """Prepare layout, terms and projection, before any rows are made."""
     coefficient_range = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
     numbers = (
@@ -205,15 +190,9 @@ def _prepared(
 
 
 def _source(
-    heightfield: HeightField,
-    plan: Plan,
-    direction_range: DirectionRange,
-    key: Any,
-    coefficient_range: coefficient_table.CoefficientRange,
-    *,
-    device: wp.Device,
-    threads: int,
-) -> _Source:
+    heightfield: HeightField, plan: Plan, direction_range: DirectionRange, key: Any,
+    coefficient_range: coefficient_table.CoefficientRange, *, device: wp.Device, threads: int,
+) -> _Source:  # fmt: skip
     """The source of a plan's table."""
     base = coefficient_table.table_for(heightfield, plan, direction_range, device=device, threads=threads)
     coefficients = base.coefficients
@@ -274,14 +253,9 @@ def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
 
 
 def _coloured(
-    source: _Source,
-    projection: Projection,
-    spectrum_rows: Any,
-    illuminated: IlluminatedMaterial,
-    *,
-    device: wp.Device,
+    source: _Source, projection: Projection, spectrum_rows: Any, illuminated: IlluminatedMaterial, *, device: wp.Device,
     threads: int,
-) -> tuple[Any, Any, float]:
+) -> tuple[Any, Any, float]:  # fmt: skip
     """The kernel, the table of colours without levels, and its size."""
     layout, count = source.layout, projection.w_basis.shape[1]
     target = colour_lookup.lookup(count, source.is_line_spectrum)
@@ -417,15 +391,9 @@ def without_zeroth_order(table: Any, coherence: Coherence) -> Any:
 
 
 def _fill(
-    table: Any,
-    target: Any,
-    layout: MipLayout,
-    first_level: int,
-    fill: Callable[[int, int, Any], None],
-    *,
-    device: wp.Device,
-    threads: int,
-) -> None:
+    table: Any, target: Any, layout: MipLayout, first_level: int, fill: Callable[[int, int, Any], None], *,
+    device: wp.Device, threads: int,
+) -> None:  # fmt: skip
     """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the spokes of a level and an octave."""
     table.azimuths = wp.array(layout.azimuths, dtype=wp.int32, device=device)
     table.blurs = wp.array(layout.level_blurs, dtype=wp.float32, device=device)

@@ -59,18 +59,9 @@ def lines_of(arguments: Any, highest: float) -> LineSpectrum:
 
 
 def gathered(
-    lines: LineSpectrum,
-    coefficients: wp.array,
-    sampler: Any,
-    *,
-    log_begin: float,
-    per_log: float,
-    rings: int,
-    azimuths: int,
-    blur: float,
-    device: wp.Device,
-    **options: Any,
-) -> wp.array:
+    lines: LineSpectrum, coefficients: wp.array, sampler: Any, *, log_begin: float, per_log: float, rings: int,
+    azimuths: int, blur: float, device: wp.Device, **options: Any,
+) -> wp.array:  # fmt: skip
     """The density of lines over frequency on spokes, spoke after spoke and node by node.
 
     Args:

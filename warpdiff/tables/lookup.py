@@ -27,15 +27,9 @@ class ColourLookup:
     """The kernel of a plan with what it reads, made or found again."""
 
     def __init__(
-        self,
-        heightfield: HeightField,
-        plan: Plan,
-        direction_range: DirectionRange,
-        *,
-        zeroth_order: bool = True,
-        device: wp.Device,
-        threads: int,
-    ) -> None:
+        self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
+        device: wp.Device, threads: int,
+    ) -> None:  # fmt: skip
         """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
         self._heightfield, self._plan, self._device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
@@ -48,18 +42,10 @@ class ColourLookup:
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def accumulate(
-        self,
-        scattering_vectors: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
-        illuminated: IlluminatedMaterial,
-        xyz: wp.array,
-        *,
-        footprints: wp.array | None = None,
-        unserved_gain: wp.array | None = None,
-        among: range | None = None,
-        **options: Any,
-    ) -> None:
+        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
+        xyz: wp.array, *, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
+        among: range | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         """Add the XYZ of deflections (n,) to those in ``xyz``.
 
         Args:
@@ -112,15 +98,9 @@ class ColourLookup:
         return self._plan.uses_footprints
 
     def kernel_calls(
-        self,
-        scattering_vectors: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
-        illuminated: IlluminatedMaterial,
-        xyz: wp.array,
-        footprints: wp.array | None = None,
-        unserved_gain: wp.array | None = None,
-    ) -> list[KernelCall]:
+        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
+        xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
+    ) -> list[KernelCall]:  # fmt: skip
         """The kernel calls of ``accumulate``."""
         if not self._plan.rings_per_octave:
             return [self._sample(scattering_vectors, to_lights, gains, illuminated, xyz)]
@@ -132,15 +112,9 @@ class ColourLookup:
         return calls
 
     def _look_up(
-        self,
-        scattering_vectors: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
-        illuminated: IlluminatedMaterial,
-        xyz: wp.array,
-        footprints: wp.array | None,
-        unserved_gain: wp.array,
-    ) -> KernelCall:
+        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
+        xyz: wp.array, footprints: wp.array | None, unserved_gain: wp.array,
+    ) -> KernelCall:  # fmt: skip
         """Add what a table serves."""
         if illuminated not in self._colours:
             kernel, table = colour_table.table_for(
@@ -157,13 +131,9 @@ class ColourLookup:
         return KernelCall(kernel, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(
-        self,
-        scattering_vectors: wp.array,
-        to_lights: wp.array,
-        gains: wp.array,
-        illuminated: IlluminatedMaterial,
+        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array,
-    ) -> KernelCall:
+    ) -> KernelCall:  # fmt: skip
         """Add the sums over wavelengths."""
         heightfield, plan, device = self._heightfield, self._plan, self._device
         # Others may have taken its place among those that are kept.

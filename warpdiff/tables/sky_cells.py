@@ -40,14 +40,9 @@ _BYTES_PER_ROW = 120.0
 
 @single_threaded_blas()
 def sky_table(
-    lookups: tuple[ColourLookup, ColourLookup],
-    illuminated: Sequence[Sequence[IlluminatedMaterial]],
-    directions: int,
-    height_range_um: float,
-    lobe_uv: float,
-    *,
-    device: wp.Device,
-) -> Any:
+    lookups: tuple[ColourLookup, ColourLookup], illuminated: Sequence[Sequence[IlluminatedMaterial]], directions: int,
+    height_range_um: float, lobe_uv: float, *, device: wp.Device,
+) -> Any:  # fmt: skip
     """The struct ``SkyTable`` of a surface.
 
     Each row is a look-up over a footprint that is the cell.
@@ -92,14 +87,9 @@ def sky_table(
 
 
 def _cell_colours(
-    lookups: tuple[ColourLookup, ColourLookup],
-    places: NDArray[np.float32],
-    footprints: NDArray[np.float32],
-    ws: NDArray[np.float64],
-    illuminated: Sequence[Sequence[IlluminatedMaterial]],
-    *,
-    device: wp.Device,
-) -> NDArray[np.float32]:
+    lookups: tuple[ColourLookup, ColourLookup], places: NDArray[np.float32], footprints: NDArray[np.float32],
+    ws: NDArray[np.float64], illuminated: Sequence[Sequence[IlluminatedMaterial]], *, device: wp.Device,
+) -> NDArray[np.float32]:  # fmt: skip
     """Mean XYZ of the zeroth order and over cells at some |w|, (materials, 1 + cells, len(ws), 3 · spectra)."""
     # The zeroth order is what comes with it of all that is near, without what comes without it.
     places = np.concatenate([np.zeros((1, 4), dtype=np.float32), places])

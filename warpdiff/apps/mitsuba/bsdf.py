@@ -82,17 +82,9 @@ class _Table:
     """
 
     def __init__(
-        self,
-        grid: Any,
-        functions: Any,
-        zeroth: Any,
-        *,
-        largest: float,
-        first: float,
-        span: float,
-        deviation: float,
+        self, grid: Any, functions: Any, zeroth: Any, *, largest: float, first: float, span: float, deviation: float,
         typical: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         import mitsuba as mi
 
         self.largest, self.first, self.span, self.deviation = largest, first, span, deviation

@@ -41,23 +41,14 @@ _METERED, _METERED_WIDTH = 16, 160
 
 @checked
 def sequence(
-    renderer: Renderer,
-    shots: Sequence[Shot],
-    folder: str | os.PathLike[str],
-    *,
-    formats: Collection[Format] = (FORMATS[0],),
-    animation: str | os.PathLike[str] | None = None,
-    frames_per_second: Annotated[float, Interval(gt=0.0, le=1000.0), Unit("1/s")] = 24.0,
-    display: Display = "aces",
+    renderer: Renderer, shots: Sequence[Shot], folder: str | os.PathLike[str], *,
+    formats: Collection[Format] = (FORMATS[0],), animation: str | os.PathLike[str] | None = None,
+    frames_per_second: Annotated[float, Interval(gt=0.0, le=1000.0), Unit("1/s")] = 24.0, display: Display = "aces",
     exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
     exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-    gamut: GamutName = "srgb",
-    background: tuple[float, float, float] | None = None,
-    bits: Bits = 8,
-    overwrite: bool = False,
-    client: Any = None,
-    progress: Progress = None,
-) -> list[Path]:
+    gamut: GamutName = "srgb", background: tuple[float, float, float] | None = None, bits: Bits = 8,
+    overwrite: bool = False, client: Any = None, progress: Progress = None,
+) -> list[Path]:  # fmt: skip
     """Draw shots one after the other into files ``frame_0000.png``, …, all with the same exposure.
 
     An interrupted sequence resumes at the next missing frame when the function is called again with the same arguments.

@@ -51,13 +51,9 @@ class Shot:
 
 @checked
 def turntable(
-    lights: DirectionalLight | Sequence[DirectionalLight],
-    view: View,
-    *,
-    count: Count = 36,
-    turns: Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)] = 1.0,
-    lights_follow: bool = True,
-) -> list[Shot]:
+    lights: DirectionalLight | Sequence[DirectionalLight], view: View, *, count: Count = 36,
+    turns: Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)] = 1.0, lights_follow: bool = True,
+) -> list[Shot]:  # fmt: skip
     """Make the shots of a body that turns about the view's target, around its ``up``.
 
     Args:
@@ -127,12 +123,9 @@ def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, cou
 
 @checked
 def camera_path(
-    path: str | os.PathLike[str],
-    lights: DirectionalLight | Sequence[DirectionalLight],
-    view: View,
-    *,
+    path: str | os.PathLike[str], lights: DirectionalLight | Sequence[DirectionalLight], view: View, *,
     count: Count | None = None,
-) -> list[Shot]:
+) -> list[Shot]:  # fmt: skip
     """Make the shots of a camera whose path is in a file.
 
     Args:

@@ -53,21 +53,13 @@ _PARTS = {
 
 @checked
 def export_html(
-    path: str | os.PathLike[str],
-    mesh: Any,
-    lobes: BakedLobes,
-    lights: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight],
-    view: View,
-    *,
-    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None,
-    masking: bool = True,
-    pigment: Annotated[float, Ge(0.0)] = 1.0,
-    shadows: bool = True,
-    smooth: bool = True,
-    tangents: ArrayLike | None = None,
-    exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
+    path: str | os.PathLike[str], mesh: Any, lobes: BakedLobes,
+    lights: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight], view: View, *,
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, masking: bool = True,
+    pigment: Annotated[float, Ge(0.0)] = 1.0, shadows: bool = True, smooth: bool = True,
+    tangents: ArrayLike | None = None, exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
     title: str = "warpdiff",
-) -> Path:
+) -> Path:  # fmt: skip
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
     The file is complete: it loads nothing else. On the page you can rotate, pan and zoom, rotate the lights and set the
