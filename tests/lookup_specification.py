@@ -244,13 +244,9 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def on_ring(
-        table: Colours,
-        ring: wp.int32,
-        level: wp.int32,
-        from_middle: wp.vec2f,
-        inverse: wp.mat22f,
+        table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
-    ) -> row_w_t:
+    ) -> row_w_t:  # fmt: skip
         """A ring's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
         octave = ring // table.rings_per_octave
         radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)

@@ -25,12 +25,9 @@ SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
 def test_render_writes_a_picture(tmp_path, capsys):
     target = tmp_path / "disc.exr"
-    assert (
-        cli.main(
-            ["render", "disc", "--heightfield", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target)]
-        )
-        == 0
-    )
+    assert cli.main([
+        "render", "disc", "--heightfield", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target),
+    ]) == 0  # fmt: skip
     spec = oiio.ImageInput.open(str(target)).spec()
     assert (spec.width, spec.height) == (24, 16)
     out = capsys.readouterr().out
@@ -91,12 +88,9 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     for said, options in wrong.items():
         assert cli.main([*command, *options, "-o", str(tmp_path / "no.exr")]) == 2
         assert said in capsys.readouterr().err
-    assert (
-        cli.main(
-            ["render", "disc", "--heightfield", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr")]
-        )
-        == 2
-    )
+    assert cli.main([
+        "render", "disc", "--heightfield", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr"),
+    ]) == 2  # fmt: skip
     assert "--environment-scale requires --environment" in capsys.readouterr().err
 
 
@@ -151,14 +145,12 @@ def test_brdf_writes_a_map(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        (["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
-        (["--coherence", "source"], "source of 0.53° in diameter"),
-        (["--coherence", "source", "--source-diameter-deg", "2"], "source of 2° in diameter"),
-        (["--coherence", "replicas", "--periods", "1", "12"], "1 × 12 periods"),
-        (["--method", "power"], "Chebyshev series of the powers"),
-    ],
-)
+    [(["--coherence", "centred", "--sigma-um", "5"], "centred window with σ = 5 µm"),
+     (["--coherence", "source"], "source of 0.53° in diameter"),
+     (["--coherence", "source", "--source-diameter-deg", "2"], "source of 2° in diameter"),
+     (["--coherence", "replicas", "--periods", "1", "12"], "1 × 12 periods"),
+     (["--method", "power"], "Chebyshev series of the powers")],
+)  # fmt: skip
 def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
     arguments = ["brdf", "--heightfield", "blazed", "--tolerance", "0.1", "--size", "6", *options]
     assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
@@ -187,57 +179,39 @@ def test_info_of_the_scan(scan_path, capsys):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (["info", "--heightfield", "nothing.png"], "there is no file 'nothing.png'"),
-        (["info", "--heightfield", "blazed:period_um=-1"], "--heightfield 'blazed:period_um=-1': period_um must"),
-        (["info", "--heightfield", "blazed", "--tolerance", "7"], "tolerance"),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "laser"],
-            "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'",
-        ),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "replicas"],
-            "--periods must be given for --coherence replicas",
-        ),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--periods", "1", "2"],
-            "--periods is for --coherence replicas, not 'averaged'",
-        ),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"],
-            "--sigma-um is for",
-        ),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--source-diameter-deg", "0"],
-            "--source-diameter-deg must be",
-        ),
-        (
-            ["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
-            "--method power expands powers",
-        ),
-        (["brdf", "--heightfield", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
-        (["brdf", "--heightfield", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
-        (["brdf", "--heightfield", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
-        (["render", "nothing.obj", "--heightfield", "blazed", "-o", "x.png"], "MESH file 'nothing.obj' does not exist"),
-        (["render", "tube", "--heightfield", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
-        (["render", "tube", "--heightfield", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
-        (["render", "tube", "--heightfield", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
-        (["info", "--heightfield", "blazed", "--crop-um", "900"], "--crop-um along x must"),
-        (["demo", "--data", "no/such/folder"], "does not exist"),
-        (["demo", "--scale", "0"], "--scale must"),
-        (["demo", "--display", "film"], "--display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
-        (["brdf", "--heightfield", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
-        (
-            ["brdf", "--heightfield", "nothing", "-o", "x.png", "--gamut", "film"],
-            "--gamut must be one of 'srgb', 'display-p3'",
-        ),
-        (["brdf", "--heightfield", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
-        (
-            ["brdf", "--heightfield", "nothing", "-o", "x.exr", "--background", "1", "1", "0"],
-            "--background is for .png files",
-        ),
-    ],
-)
+    [(["info", "--heightfield", "nothing.png"], "there is no file 'nothing.png'"),
+     (["info", "--heightfield", "blazed:period_um=-1"], "--heightfield 'blazed:period_um=-1': period_um must"),
+     (["info", "--heightfield", "blazed", "--tolerance", "7"], "tolerance"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "laser"],
+      "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "replicas"],
+      "--periods must be given for --coherence replicas"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--periods", "1", "2"],
+      "--periods is for --coherence replicas, not 'averaged'"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"],
+      "--sigma-um is for"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--source-diameter-deg", "0"],
+      "--source-diameter-deg must be"),
+     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
+      "--method power expands powers"),
+     (["brdf", "--heightfield", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
+     (["brdf", "--heightfield", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
+     (["brdf", "--heightfield", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
+     (["render", "nothing.obj", "--heightfield", "blazed", "-o", "x.png"], "MESH file 'nothing.obj' does not exist"),
+     (["render", "tube", "--heightfield", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
+     (["render", "tube", "--heightfield", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
+     (["render", "tube", "--heightfield", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
+     (["info", "--heightfield", "blazed", "--crop-um", "900"], "--crop-um along x must"),
+     (["demo", "--data", "no/such/folder"], "does not exist"),
+     (["demo", "--scale", "0"], "--scale must"),
+     (["demo", "--display", "film"], "--display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
+     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
+     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--gamut", "film"],
+      "--gamut must be one of 'srgb', 'display-p3'"),
+     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
+     (["brdf", "--heightfield", "nothing", "-o", "x.exr", "--background", "1", "1", "0"],
+      "--background is for .png files")],
+)  # fmt: skip
 def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(arguments) == 2
@@ -272,12 +246,9 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "arguments",
-    [
-        ["brdf", "--heightfield", "blazed", "-o", "map.png"],
-        ["render", "tube", "--heightfield", "blazed", "-o", "tube.exr"],
-        ["demo"],
-    ],
-)
+    [["brdf", "--heightfield", "blazed", "-o", "map.png"],
+     ["render", "tube", "--heightfield", "blazed", "-o", "tube.exr"], ["demo"]],
+)  # fmt: skip
 def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # Nothing is denied to root.
@@ -425,12 +396,9 @@ def test_demo_without_the_data(tmp_path, monkeypatch):
 @TINY
 @pytest.mark.parametrize(
     ("name", "crop_um"),
-    [
-        ("fuze_elaphe", 10.0),
-        *(slow(f"{each}_elaphe", 65.0) for each in ("snake", "map", "fuze")),
-        slow("snake_elaphe_across", 65.0),
-    ],
-)
+    [("fuze_elaphe", 10.0), *(slow(f"{each}_elaphe", 65.0) for each in ("snake", "map", "fuze")),
+     slow("snake_elaphe_across", 65.0)],
+)  # fmt: skip
 def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
     assert scan_path.is_file()
     cleaned = demo.cleaned_scan

@@ -258,5 +258,7 @@ def test_what_cannot_be_baked_is_refused():
         wd.bake_spectrum(sine, coherence=wd.Coherence("source"))
     with pytest.raises(ValueError, match=r"delta_e must be a finite number, at least 0\.2"):
         wd.bake(sine, delta_e=0.01)
-    with pytest.raises(ValueError, match=r"coherence must be shorter to be baked: .* σ = 1000 µm requires [0-9,]+ wavelengths"):
+    with pytest.raises(
+        ValueError, match=r"coherence must be shorter to be baked: .* σ = 1000 µm requires [0-9,]+ wavelengths"
+    ):
         wd.bake(sine, coherence=wd.Coherence(sigma_um=1000.0))

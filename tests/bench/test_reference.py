@@ -128,12 +128,9 @@ def test_lines_of_many_copies(rng):
         sharp = resonances(heightfield, lights, views, periods)
         illuminated = sharp[:, 1] > 0.0
         assert illuminated.sum() >= 4
-        errors.append(
-            np.max(
-                np.linalg.norm(values[illuminated] - sharp[illuminated], axis=1)
-                / np.linalg.norm(sharp[illuminated], axis=1)
-            )
-        )
+        errors.append(np.max(np.linalg.norm(values[illuminated] - sharp[illuminated], axis=1) / np.linalg.norm(
+            sharp[illuminated], axis=1,
+        )))  # fmt: skip
     assert errors[0] <= 0.1
     assert errors[1] <= 0.3 * errors[0]
 

@@ -78,16 +78,10 @@ def test_threads_launch_one_chain_over_elements_of_their_own():
 
 @wp.kernel
 def gather_all(
-    sampling: Sampling,
-    cells: Cells,
-    place: wp.vec2d,
-    factor: wp.float32,
-    adds: wp.bool,
-    values: wp.array2d(dtype=wp.float64),
-    first: wp.int32,
-    none: wp.array(dtype=wp.int32),
+    sampling: Sampling, cells: Cells, place: wp.vec2d, factor: wp.float32, adds: wp.bool,
+    values: wp.array2d(dtype=wp.float64), first: wp.int32, none: wp.array(dtype=wp.int32),
     values_out: wp.array(dtype=wp.float64),
-):
+):  # fmt: skip
     i = first + wp.tid()
     offset = sampling.places[0]
     if adds and none.shape[0] == 0:

@@ -42,12 +42,10 @@ def ramp(n, depth, kappa, order):
 
 PROFILES = {
     "sinusoidal": (lambda n: wd.gratings.sinusoidal(PERIOD_UM, 0.3, samples=n), lambda *a: sinusoid(a[0], 0.3, *a[1:])),
-    "lamellar": (
-        lambda n: wd.gratings.lamellar(PERIOD_UM, 0.2, duty=0.375, samples=n),
-        lambda *a: two_levels(a[0], 0.2, *a[1:]),
-    ),
+    "lamellar": (lambda n: wd.gratings.lamellar(PERIOD_UM, 0.2, duty=0.375, samples=n),
+                 lambda *a: two_levels(a[0], 0.2, *a[1:])),
     "blazed": (lambda n: wd.gratings.blazed(PERIOD_UM, 0.25, samples=n), lambda *a: ramp(a[0], 0.25, *a[1:])),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PROFILES)

@@ -42,12 +42,10 @@ class Surface:
 
     def series(self, method, dtype, terms=None):
         terms = terms or methods.most_terms(self.heightfield, method, 2.0 / WAVELENGTHS_UM.min())
-        return self.error_of(
-            methods.series_reflectance(
-                self.heightfield, self.lights, self.views, WAVELENGTHS_UM, sigma=SIGMA, method=method, terms=terms,
-                dtype=dtype,
-            )
-        )  # fmt: skip
+        return self.error_of(methods.series_reflectance(
+            self.heightfield, self.lights, self.views, WAVELENGTHS_UM, sigma=SIGMA, method=method, terms=terms,
+            dtype=dtype,
+        ))  # fmt: skip
 
 
 @pytest.fixture(scope="module")

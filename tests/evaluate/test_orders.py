@@ -145,15 +145,13 @@ def test_orders_beyond_the_samples_are_told():
 
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
-    [
-        ({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
-        ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
-        ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
-        ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
-        ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm"),
-        ({"ior": 0.5}, ValueError, "ior must be a number, more than 1"),
-    ],
-)
+    [({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
+     ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
+     ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
+     ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
+     ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm"),
+     ({"ior": 0.5}, ValueError, "ior must be a number, more than 1")],
+)  # fmt: skip
 def test_bad_input(arguments, error, message):
     heightfield = wd.gratings.sinusoidal(PERIOD, 0.1)
     with pytest.raises(error, match=message):

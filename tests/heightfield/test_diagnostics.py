@@ -90,17 +90,11 @@ def test_a_plan_warns_where_nothing_is_right():
 
 @pytest.mark.parametrize(
     "heightfield",
-    [
-        wd.gratings.sinusoidal(2.0, 0.25),
-        wd.gratings.lamellar(2.0, 0.25),
-        wd.gratings.blazed(2.0, 0.25),
-        wd.gratings.fingers(size_um=12.8),
-        wd.gratings.bumps(),
-        wd.gratings.disc("CD", tracks=4, length_um=14.0),
-        wd.gratings.disc("Blu-ray", tracks=4, length_um=4.0),
-    ],
+    [wd.gratings.sinusoidal(2.0, 0.25), wd.gratings.lamellar(2.0, 0.25), wd.gratings.blazed(2.0, 0.25),
+     wd.gratings.fingers(size_um=12.8), wd.gratings.bumps(), wd.gratings.disc("CD", tracks=4, length_um=14.0),
+     wd.gratings.disc("Blu-ray", tracks=4, length_um=4.0)],
     ids=["sine", "lamellar", "blazed", "fingers", "bumps", "CD", "Blu-ray"],
-)
+)  # fmt: skip
 def test_usual_surfaces_are_not_warned_of(heightfield):
     assert 0.1 < heightfield.summary().scalar_error < SCALAR_INVALID
 
@@ -165,15 +159,13 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
 
 @pytest.mark.parametrize(
     ("height_factor", "pitch_factor", "message"),
-    [
-        (1e-6, 1.0, r"less than an atom; are heights in metres\? Multiply them by 1e\+06"),
-        (1e-6, 1e-6, r"less than an atom; are heights in metres, and the pitch as well\?"),
-        (1e-3 * 0.3, 1.0, r"less than an atom; are heights in millimetres\? Multiply them by 1000"),
-        (1e3, 1.0, r"more than the size of 12\.8 µm; are heights in nanometres\? Multiply them by 0\.001"),
-        (1.0, 1e-6, r"more than the size of 1\.28e-05 µm; is the pitch in metres\?"),
-        (25.0, 1.0, r"a mean slope of \d\.\d+; are heights in nanometres\?"),
-    ],
-)
+    [(1e-6, 1.0, r"less than an atom; are heights in metres\? Multiply them by 1e\+06"),
+     (1e-6, 1e-6, r"less than an atom; are heights in metres, and the pitch as well\?"),
+     (1e-3 * 0.3, 1.0, r"less than an atom; are heights in millimetres\? Multiply them by 1000"),
+     (1e3, 1.0, r"more than the size of 12\.8 µm; are heights in nanometres\? Multiply them by 0\.001"),
+     (1.0, 1e-6, r"more than the size of 1\.28e-05 µm; is the pitch in metres\?"),
+     (25.0, 1.0, r"a mean slope of \d\.\d+; are heights in nanometres\?")],
+)  # fmt: skip
 def test_implausible_scales_are_warned_of(height_factor: float, pitch_factor: float, message: str) -> None:
     dy, dx = SCAN.pitch_um
     with pytest.warns(wd.WarpdiffWarning, match=message):

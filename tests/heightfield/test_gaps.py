@@ -155,20 +155,15 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
 
 @pytest.mark.parametrize(
     "use",
-    [
-        lambda heightfield: heightfield.resampled(0.2),
-        wd.plan,
-        lambda heightfield: wd.reflectance(heightfield, (0, 0, 1), (0, 0, 1)),
-        lambda heightfield: wd.order_efficiencies(heightfield, (0, 0, 1), 550.0),
-        lambda heightfield: wd.shade(
-            wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)), wd.View((0, 0, 5), (0, 0, 0))
-        ),
-        lambda heightfield: wd.Renderer(
-            wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)), wd.View((0, 0, 5), (0, 0, 0))
-        ),
-    ],
+    [lambda heightfield: heightfield.resampled(0.2), wd.plan,
+     lambda heightfield: wd.reflectance(heightfield, (0, 0, 1), (0, 0, 1)),
+     lambda heightfield: wd.order_efficiencies(heightfield, (0, 0, 1), 550.0),
+     lambda heightfield: wd.shade(wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)),
+                                  wd.View((0, 0, 5), (0, 0, 0))),
+     lambda heightfield: wd.Renderer(wd.meshes.tube(), heightfield, wd.DirectionalLight((0, 0, 1)),
+                                     wd.View((0, 0, 5), (0, 0, 0)))],
     ids=["resampled", "plan", "reflectance", "order_efficiencies", "shade", "Renderer"],
-)
+)  # fmt: skip
 def test_gaps_are_refused_where_light_falls(use) -> None:
     with pytest.raises(
         ValueError,

@@ -81,42 +81,30 @@ UM: dict[str, Any] = {"extent_um": 5.0}
 
 @pytest.mark.parametrize(
     ("name", "options", "error", "message"),
-    [
-        ("nowhere.png", SCALE, FileNotFoundError, r"path: there is no file .*check the name"),
-        (".", SCALE, ValueError, r"path: .* is not a file"),
-        ("text.png", SCALE, ValueError, r"path: .* cannot be read as an image .*give a grey image"),
-        ("cut.png", SCALE, ValueError, r"path: .* is damaged .*export the image again"),
-        ("rgb.png", SCALE, ValueError, r"path: .* is a colour image \(3 channels\); save its heights as one grey"),
-        ("alpha.png", SCALE, ValueError, r"path: .* is a grey image with alpha; save its heights as one grey"),
-        ("infinite.exr", UM, ValueError, r"path: .* has 1 infinite sample.*save missing ones as NaN"),
-        ("text.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
-        ("empty.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
-        ("object.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
-        ("cube.npy", UM, ValueError, r"path: .* has shape \(2, 3, 4\); save one array"),
-        ("infinite.npy", UM, ValueError, r"path: .* has 1 infinite sample"),
-        ("int64.npy", SCALE, ValueError, r"path: .* samples of type int64; save uint8, uint16"),
-        ("complex.npy", UM, ValueError, r"path: .* samples of type complex128"),
-        ("grey.png", UM, ValueError, r"height_range_um must be given.*full scale 0 to 255"),
-        ("float.tif", SCALE, ValueError, r"height_range_um must not be given.*µm already"),
-        ("grey.png", {"height_range_um": 0.3}, ValueError, r"exactly one of extent_um .* and pitch_um .*neither"),
-        ("grey.png", {**SCALE, "pitch_um": 0.1}, ValueError, r"exactly one of extent_um .* and pitch_um .*both"),
-        ("grey.png", {**SCALE, "extent_um": -1.0}, ValueError, r"extent_um must be a finite number, more than 0"),
-        (
-            "grey.png",
-            {**UM, "height_range_um": 0.0},
-            ValueError,
-            r"height_range_um must be a finite number, more than 0",
-        ),
-        ("grey.png", {**SCALE, "extent_um": (1.0, 0.0)}, ValueError, r"extent_um\[1\] must be a finite number"),
-        ("grey.png", {**SCALE, "extent_um": (1,)}, ValueError, r"extent_um must be one number or a pair"),
-        (
-            "grey.png",
-            {"pitch_um": (1, 2, 3), "height_range_um": 1},
-            ValueError,
-            r"pitch_um must be one number or a pair",
-        ),
-    ],
-)
+    [("nowhere.png", SCALE, FileNotFoundError, r"path: there is no file .*check the name"),
+     (".", SCALE, ValueError, r"path: .* is not a file"),
+     ("text.png", SCALE, ValueError, r"path: .* cannot be read as an image .*give a grey image"),
+     ("cut.png", SCALE, ValueError, r"path: .* is damaged .*export the image again"),
+     ("rgb.png", SCALE, ValueError, r"path: .* is a colour image \(3 channels\); save its heights as one grey"),
+     ("alpha.png", SCALE, ValueError, r"path: .* is a grey image with alpha; save its heights as one grey"),
+     ("infinite.exr", UM, ValueError, r"path: .* has 1 infinite sample.*save missing ones as NaN"),
+     ("text.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
+     ("empty.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
+     ("object.npy", UM, ValueError, r"path: .* cannot be read as .npy .*numpy.save"),
+     ("cube.npy", UM, ValueError, r"path: .* has shape \(2, 3, 4\); save one array"),
+     ("infinite.npy", UM, ValueError, r"path: .* has 1 infinite sample"),
+     ("int64.npy", SCALE, ValueError, r"path: .* samples of type int64; save uint8, uint16"),
+     ("complex.npy", UM, ValueError, r"path: .* samples of type complex128"),
+     ("grey.png", UM, ValueError, r"height_range_um must be given.*full scale 0 to 255"),
+     ("float.tif", SCALE, ValueError, r"height_range_um must not be given.*µm already"),
+     ("grey.png", {"height_range_um": 0.3}, ValueError, r"exactly one of extent_um .* and pitch_um .*neither"),
+     ("grey.png", {**SCALE, "pitch_um": 0.1}, ValueError, r"exactly one of extent_um .* and pitch_um .*both"),
+     ("grey.png", {**SCALE, "extent_um": -1.0}, ValueError, r"extent_um must be a finite number, more than 0"),
+     ("grey.png", {**UM, "height_range_um": 0.0}, ValueError, r"height_range_um must be a finite number, more than 0"),
+     ("grey.png", {**SCALE, "extent_um": (1.0, 0.0)}, ValueError, r"extent_um\[1\] must be a finite number"),
+     ("grey.png", {**SCALE, "extent_um": (1,)}, ValueError, r"extent_um must be one number or a pair"),
+     ("grey.png", {"pitch_um": (1, 2, 3), "height_range_um": 1}, ValueError, r"pitch_um must be one number or a pair")],
+)  # fmt: skip
 def test_bad_files(tmp_path: Path, name: str, options: dict[str, Any], error: type[Exception], message: str) -> None:
     bad_files(tmp_path)
     with pytest.raises(error, match=message):
@@ -257,12 +245,10 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
 
 @pytest.mark.parametrize(
     ("name", "error", "message"),
-    [
-        ("a.npy", ValueError, r"path must end in \.npz, got '.*a\.npy'"),
-        ("none/a.npz", FileNotFoundError, "path: the folder .*none does not exist"),
-        (None, TypeError, "path must be a string or a path"),
-    ],
-)
+    [("a.npy", ValueError, r"path must end in \.npz, got '.*a\.npy'"),
+     ("none/a.npz", FileNotFoundError, "path: the folder .*none does not exist"),
+     (None, TypeError, "path must be a string or a path")],
+)  # fmt: skip
 def test_bad_paths_of_save(tmp_path: Path, name: str | None, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         noise((2, 2)).save(name if name is None else tmp_path / name)  # type: ignore[arg-type]

@@ -373,14 +373,12 @@ def test_a_picture_is_read_from_its_exr_file(image, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "error", "message"),
-    [
-        ("absent.exr", FileNotFoundError, r"absent\.exr"),
-        ("a.png", ValueError, r"path: '.*a\.png' has the channels R, G, B, A; name an EXR file of Image\.save"),
-        ("text.exr", ValueError, r"path: '.*text\.exr' cannot be read as an image; name an EXR file"),
-        ("bytes.exr", ValueError, r"path: '.*bytes\.exr' cannot be read as an image"),
-        ("cut.exr", ValueError, r"path: '.*cut\.exr' (is damaged|cannot be read)"),
-    ],
-)
+    [("absent.exr", FileNotFoundError, r"absent\.exr"),
+     ("a.png", ValueError, r"path: '.*a\.png' has the channels R, G, B, A; name an EXR file of Image\.save"),
+     ("text.exr", ValueError, r"path: '.*text\.exr' cannot be read as an image; name an EXR file"),
+     ("bytes.exr", ValueError, r"path: '.*bytes\.exr' cannot be read as an image"),
+     ("cut.exr", ValueError, r"path: '.*cut\.exr' (is damaged|cannot be read)")],
+)  # fmt: skip
 def test_other_files_are_no_pictures(image, name, error, message, tmp_path, capfd):
     image.save(tmp_path / "a.png")
     (tmp_path / "text.exr").write_text("no picture")

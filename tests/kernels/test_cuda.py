@@ -37,20 +37,14 @@ KERNELS = {
     "bvh": {"trace_bvh"},
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
-    "light_samples": {
-        "balance_energy", "pixel_footprints", "scattering_vectors", "select_material", "add_light_rotation",
-        "add_light_extent",
-    },
+    "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
+                      "add_light_rotation", "add_light_extent"},
     "sky_sum": {"add_sky", "mirror_directions"},
-    "subdivision": {
-        "accumulate", "any_occluded", "add_occluded_power", "add_penumbra_error", "select_cells", "resolve_pixels",
-        "estimate_errors", "splat_cells",
-    },
+    "subdivision": {"accumulate", "any_occluded", "add_occluded_power", "add_penumbra_error", "select_cells",
+                    "resolve_pixels", "estimate_errors", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
-    "tile_lists": {
-        "count_marks", "luminance_floor", "advance_batch", "running_max", "compact_marks", "dilate_marks",
-        "mark_interior", "copy_batch", "luminance_histogram",
-    },
+    "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_marks", "dilate_marks",
+                   "mark_interior", "copy_batch", "luminance_histogram"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
@@ -145,14 +139,10 @@ def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
 
 @pytest.mark.parametrize(
     "coherence",
-    [
-        wd.Coherence("averaged", 3.25),
-        wd.Coherence("centred", 3.25),
-        wd.Coherence("source", angular_diameter_deg=2.0),
-        wd.Coherence("replicas", periods=(2, 5)),
-    ],
+    [wd.Coherence("averaged", 3.25), wd.Coherence("centred", 3.25), wd.Coherence("source", angular_diameter_deg=2.0),
+     wd.Coherence("replicas", periods=(2, 5))],
     ids=lambda item: item.kind,
-)
+)  # fmt: skip
 def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)

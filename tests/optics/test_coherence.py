@@ -201,14 +201,10 @@ def test_a_source_needs_its_direction(small):
 
 @pytest.mark.parametrize(
     "coherence",
-    [
-        Coherence("averaged", 2.0),
-        Coherence("centred", 2.0),
-        Coherence("source", angular_diameter_deg=5.0),
-        Coherence("replicas", periods=(3, 2)),
-    ],
+    [Coherence("averaged", 2.0), Coherence("centred", 2.0), Coherence("source", angular_diameter_deg=5.0),
+     Coherence("replicas", periods=(3, 2))],
     ids=lambda coherence: coherence.kind,
-)
+)  # fmt: skip
 def test_solid_angle_is_what_a_mirror_gathers(coherence):
     """∫⟨|P|²⟩ du dv of a flat patch is Ω, for a source Ω cos θi: with ``brdf_scale`` a mirror returns all the light."""
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)

@@ -140,15 +140,13 @@ def test_the_package_announces_nothing_of_colour_science():
 
 @pytest.mark.parametrize(
     ("wavelengths", "message"),
-    [
-        ([500.0, 400.0], "strictly increasing"),
-        ([0.5, 0.6], "give wavelengths in nanometres"),
-        ([], "shape"),
-        ([[400.0, 500.0]], "shape"),
-        ([np.nan], "finite"),
-        ("blue", "real numbers"),
-    ],
-)
+    [([500.0, 400.0], "strictly increasing"),
+     ([0.5, 0.6], "give wavelengths in nanometres"),
+     ([], "shape"),
+     ([[400.0, 500.0]], "shape"),
+     ([np.nan], "finite"),
+     ("blue", "real numbers")],
+)  # fmt: skip
 def test_bad_wavelengths(wavelengths, message):
     with pytest.raises((ValueError, TypeError), match=message):
         colorimetry.quadrature_weights(wavelengths)

@@ -88,13 +88,11 @@ DATA:
         2.500 1.2E-06
 """
 FILES = {
-    "metal.yml": (SITE_YAML, 1.7, 4.0),
-    "bk7.yaml": (FORMULA, 1.51852, 0.0),
+    "metal.yml": (SITE_YAML, 1.7, 4.0), "bk7.yaml": (FORMULA, 1.51852, 0.0),
     "blocks.csv": ("wl,n\n0.3,1.2\n0.8,2.2\n\nwl,k\n0.3,3\n0.8,5\n", 1.7, 4.0),
     "columns.csv": ("wavelength [nm],n,k\n300,1.2,3\n800,2.2,5\n", 1.7, 4.0),
-    "cauchy.yml": (
-        "DATA:\n  - type: formula 5\n    wavelength_range: 0.3 1\n    coefficients: 1.4 0.0121 -2\n", 1.44, 0.0,
-    ),
+    "cauchy.yml": ("DATA:\n  - type: formula 5\n    wavelength_range: 0.3 1\n    coefficients: 1.4 0.0121 -2\n", 1.44,
+                   0.0),
 }  # fmt: skip
 
 

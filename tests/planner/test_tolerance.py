@@ -62,14 +62,10 @@ def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
 
 @pytest.mark.parametrize(
     ("heightfield", "size", "tolerance"),
-    [
-        (wd.gratings.blazed(2.5, 0.25), 256, 1e-3),
-        slow(wd.gratings.blazed(2.5, 0.25), 512, 1e-2),
-        (wd.gratings.lamellar(1.5, 0.1375), 70, 1e-2),
-        (wd.gratings.blazed(0.562, 0.339), 70, 1e-3),
-    ],
+    [(wd.gratings.blazed(2.5, 0.25), 256, 1e-3), slow(wd.gratings.blazed(2.5, 0.25), 512, 1e-2),
+     (wd.gratings.lamellar(1.5, 0.1375), 70, 1e-2), (wd.gratings.blazed(0.562, 0.339), 70, 1e-3)],
     ids=["blazed, tight", "blazed, default", "lamellar, small", "blazed, short"],
-)
+)  # fmt: skip
 def test_maps_of_one_dimensional_gratings(heightfield, size, tolerance):
     check(call(heightfield, tolerance, to_light=UP, size=size))
 

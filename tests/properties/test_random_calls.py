@@ -29,12 +29,10 @@ def height_fields(draw):
 
     Each number of terms is a kernel to compile; deeper ones are the regimes' business.
     """
-    ny, nx = draw(
-        st.one_of(
-            st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
-            st.tuples(st.integers(1, 24), st.integers(1, 24)),
-        )
-    )
+    ny, nx = draw(st.one_of(
+        st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
+        st.tuples(st.integers(1, 24), st.integers(1, 24)),
+    ))  # fmt: skip
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     heights = rng.uniform(-0.5, 0.5, (ny, nx))
     if draw(st.booleans()):
@@ -61,10 +59,8 @@ def vectors(draw, count):
 coherences = st.one_of(
     st.builds(wd.Coherence, st.sampled_from(["averaged", "centred"]), log_uniform(0.1, 1000.0)),
     st.builds(lambda d: wd.Coherence("source", angular_diameter_deg=d), log_uniform(1e-3, 30.0)),
-    st.builds(
-        lambda ny, nx: wd.Coherence("replicas", periods=(ny, nx)),
-        log_uniform(1.0, 5000.0).map(round), log_uniform(1.0, 5000.0).map(round),
-    ),
+    st.builds(lambda ny, nx: wd.Coherence("replicas", periods=(ny, nx)), log_uniform(1.0, 5000.0).map(round),
+              log_uniform(1.0, 5000.0).map(round)),
 )  # fmt: skip
 wavelengths = st.lists(log_uniform(250.0, 10_000.0), min_size=1, max_size=4)
 reciprocal = coherences.filter(lambda each: each.kind != "source")

@@ -63,14 +63,11 @@ def plans(fingers):
     table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {
-        "footprints": dataclasses.replace(table, footprint=True),
-        "points": table,
+        "footprints": dataclasses.replace(table, footprint=True), "points": table,
         "sampled": wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=5e-2),
-        "source": dataclasses.replace(
-            wd.plan(fingers, coherence=source, method="low-rank", integration="table", tolerance=0.1, strict=False),
-            footprint=True,
-        ),
-    }
+        "source": dataclasses.replace(wd.plan(fingers, coherence=source, method="low-rank", integration="table",
+                                              tolerance=0.1, strict=False), footprint=True),
+    }  # fmt: skip
 
 
 CASES = {

@@ -100,14 +100,10 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
 
 @pytest.mark.parametrize(
     "coherence",
-    [
-        wd.Coherence(sigma_um=6.5),
-        wd.Coherence("centred", 6.5),
-        slow(wd.Coherence("source", angular_diameter_deg=0.53)),
-        slow(wd.Coherence("replicas", periods=(2, 3))),
-    ],
+    [wd.Coherence(sigma_um=6.5), wd.Coherence("centred", 6.5), slow(wd.Coherence("source", angular_diameter_deg=0.53)),
+     slow(wd.Coherence("replicas", periods=(2, 3)))],
     ids=lambda each: each.kind,
-)
+)  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)

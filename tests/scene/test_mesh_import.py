@@ -348,13 +348,10 @@ def folded(mesh):
 # Of 25 faces around: of 24 the tangents at a tip would lie at the very 30° within which they are joined.
 @pytest.mark.parametrize(
     "mesh",
-    [
-        meshes.tube(segments_along=40, segments_around=25),
-        folded(meshes.tube(segments_along=40, segments_around=25)),
-        meshes.disc(segments=48, rings=3),
-    ],
+    [meshes.tube(segments_along=40, segments_around=25), folded(meshes.tube(segments_along=40, segments_around=25)),
+     meshes.disc(segments=48, rings=3)],
     ids=["given normals", "folded", "flat"],
-)
+)  # fmt: skip
 def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     before = prepare_surface(mesh)
     turn = trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))
@@ -407,21 +404,14 @@ def nearly_convex(fault):
 
 @pytest.mark.parametrize(
     ("mesh", "convex"),
-    [
-        (trimesh.creation.icosphere(subdivisions=2), True),
-        (trimesh.creation.box(), True),
-        (trimesh.creation.capsule(), True),
-        (meshes.disc(segments=12, rings=2), True),
-        (trimesh.creation.torus(1.0, 0.3), False),
-        (mesh_of(trimesh.creation.icosphere().vertices, trimesh.creation.icosphere().faces[1:]), False),
-        (
-            trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation([3, 0, 0])]),
-            False,
-        ),
-        (trimesh.creation.annulus(0.5, 1.0, 1.0), False),
-        *((nearly_convex(fault), False) for fault in ("flipped", "dented", "speck")),
-    ],
-)
+    [(trimesh.creation.icosphere(subdivisions=2), True), (trimesh.creation.box(), True),
+     (trimesh.creation.capsule(), True), (meshes.disc(segments=12, rings=2), True),
+     (trimesh.creation.torus(1.0, 0.3), False),
+     (mesh_of(trimesh.creation.icosphere().vertices, trimesh.creation.icosphere().faces[1:]), False),
+     (trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation([3, 0, 0])]), False),
+     (trimesh.creation.annulus(0.5, 1.0, 1.0), False),
+     *((nearly_convex(fault), False) for fault in ("flipped", "dented", "speck"))],
+)  # fmt: skip
 def test_convexity(mesh, convex):
     surface = prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02))
     assert surface.is_convex is convex
@@ -429,27 +419,25 @@ def test_convexity(mesh, convex):
 
 @pytest.mark.parametrize(
     ("mesh", "tangents", "error", "message"),
-    [
-        (5, None, TypeError, "mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got int"),
-        (trimesh.PointCloud(SQUARE), None, TypeError, "got PointCloud"),
-        (trimesh.Scene(), None, ValueError, "mesh must have triangles"),
-        (trimesh.Trimesh(), None, ValueError, "mesh must have vertices"),
-        (mesh_of(faces=np.zeros((0, 3), int)), None, ValueError, "mesh must have faces, got 4 vertices and no face"),
-        (mesh_of(SQUARE * [1, math.nan, 1]), None, ValueError, "mesh must have finite vertices, got 4"),
-        (mesh_of(faces=[[0, 1, 4]]), None, ValueError, "face indices within 0 to 3 .* got 0 to 4"),
-        (mesh_of(faces=[[0, 1, -1]]), None, ValueError, "face indices within 0 to 3 .* got -1 to 1"),
-        (mesh_of(), None, ValueError, "neither texture coordinates nor tangents; give tangents .*or a mesh with"),
-        (mesh_of(SQUARE * [1, 0, 0], uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
-        (mesh_of(SQUARE * 0, uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
-        (mesh_of(uv=SQUARE[:, :2] * 0), None, ValueError, "texture coordinates must define a direction"),
-        (mesh_of(uv=SQUARE[:, :2] + math.inf), None, ValueError, "finite texture coordinates"),
-        (square(), np.zeros((4, 3)), ValueError, "tangents must define a direction"),
-        (square(), np.tile([[0, 0, 1.0]], (4, 1)), ValueError, "tangents must define a direction"),
-        (square(), np.ones((3, 3)), ValueError, r"tangents must have shape \(4, 3\).* got \(3, 3\)"),
-        (square(), np.full((4, 3), math.nan), ValueError, "tangents must be finite"),
-        (square(), "along", TypeError, "tangents must be an array"),
-    ],
-)
+    [(5, None, TypeError, "mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got int"),
+     (trimesh.PointCloud(SQUARE), None, TypeError, "got PointCloud"),
+     (trimesh.Scene(), None, ValueError, "mesh must have triangles"),
+     (trimesh.Trimesh(), None, ValueError, "mesh must have vertices"),
+     (mesh_of(faces=np.zeros((0, 3), int)), None, ValueError, "mesh must have faces, got 4 vertices and no face"),
+     (mesh_of(SQUARE * [1, math.nan, 1]), None, ValueError, "mesh must have finite vertices, got 4"),
+     (mesh_of(faces=[[0, 1, 4]]), None, ValueError, "face indices within 0 to 3 .* got 0 to 4"),
+     (mesh_of(faces=[[0, 1, -1]]), None, ValueError, "face indices within 0 to 3 .* got -1 to 1"),
+     (mesh_of(), None, ValueError, "neither texture coordinates nor tangents; give tangents .*or a mesh with"),
+     (mesh_of(SQUARE * [1, 0, 0], uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
+     (mesh_of(SQUARE * 0, uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
+     (mesh_of(uv=SQUARE[:, :2] * 0), None, ValueError, "texture coordinates must define a direction"),
+     (mesh_of(uv=SQUARE[:, :2] + math.inf), None, ValueError, "finite texture coordinates"),
+     (square(), np.zeros((4, 3)), ValueError, "tangents must define a direction"),
+     (square(), np.tile([[0, 0, 1.0]], (4, 1)), ValueError, "tangents must define a direction"),
+     (square(), np.ones((3, 3)), ValueError, r"tangents must have shape \(4, 3\).* got \(3, 3\)"),
+     (square(), np.full((4, 3), math.nan), ValueError, "tangents must be finite"),
+     (square(), "along", TypeError, "tangents must be an array")],
+)  # fmt: skip
 def test_bad_meshes(mesh, tangents, error, message):
     with pytest.raises(error, match=message):
         prepare_surface(mesh, tangents=tangents)

@@ -317,14 +317,12 @@ def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
 
 @pytest.mark.parametrize(
     ("method", "coherence"),
-    [
-        ("jacobi-anger", wd.Coherence("source", angular_diameter_deg=0.5)),
-        ("low-rank", wd.Coherence("replicas", periods=(2, 2))),
-        ("jacobi-anger", wd.Coherence()),
-        ("power", wd.Coherence("centred")),
-    ],
+    [("jacobi-anger", wd.Coherence("source", angular_diameter_deg=0.5)),
+     ("low-rank", wd.Coherence("replicas", periods=(2, 2))),
+     ("jacobi-anger", wd.Coherence()),
+     ("power", wd.Coherence("centred"))],
     ids=str,
-)
+)  # fmt: skip
 def test_forms_without_a_table_say_so(fingers, method, coherence):
     up = (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=f"method='{method}' .*: use (one of|integration=)"):

@@ -93,11 +93,9 @@ def sine():
 
 @pytest.mark.parametrize(
     ("incidence_deg", "angle_deg"),
-    [
-        *((0.0, 0.0), (60.0, 35.0), (75.0, 55.0)),
-        *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0))),
-    ],
-)
+    [*((0.0, 0.0), (60.0, 35.0), (75.0, 55.0)),
+     *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
+)  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
     """The first order of a sine, which disperses along x, across the plane of incidence of any azimuth."""
     source = wd.Coherence("source", angular_diameter_deg=1.0)
@@ -200,8 +198,7 @@ def test_footprints_widen_the_source(fingers, plan):
         lookup.accumulate(
             wp.array(scattering_vectors, dtype=wp.vec3d, device=device),
             wp.array(np.tile(to_light, (count, 1)), dtype=wp.vec3f, device=device),
-            wp.ones(count, dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz,
-            footprints=spread,
+            wp.ones(count, dtype=wp.float32, device=device), IlluminatedMaterial("D65"), xyz, footprints=spread,
         )  # fmt: skip
         return xyz.numpy()
 
