@@ -5,8 +5,6 @@
 - ``periods``: whole periods of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a truncated
   sinc (eq. 3.51). They lack a phase, too: the sinc's is the transform of the patch with its halves swapped, its seam
   inside.
-- ``order_colour``: the integral over λ as a mean over the wavelengths at which an order falls on the direction.
-- ``stam_directions`` and ``stam_picture``: Stam's analytic model of ``peers.stam_analytic``.
 
 The arithmetic is NumPy's; coefficients are exact to 1e-6.
 """
@@ -15,24 +13,20 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-import warpdiff as wd
-from bench.peers import stam_analytic
-from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.diffraction import fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.lights.base import lobes_of
-from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.render.picture import Picture
-from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.optics import reflectance_factors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+
+    import warpdiff as wd
 
     Floats = NDArray[np.float64]
 
@@ -40,27 +34,18 @@ SERIES = EXPANSIONS["jacobi-anger"]
 ACCURACY = 1e-6
 # Coefficients on either side of the nearest at which the sinc is truncated.
 SINC_REACH = 3
+SIGMA_UM = 16.25
 CHUNK = 1 << 15
 
 
-def neighbours(
-    heightfield: wd.HeightField,
-    to_light: Floats,
-    to_view: Floats,
-    wavelengths_nm: Floats,
-    *,
-    sigma_um: float = 16.25,
-    masking: bool = True,
-) -> Floats:
-    """Return ρ by 3 × 3 coefficients around the one that floor() selects.
+def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats) -> Floats:
+    """Return ρ by 3 × 3 coefficients around the one that floor() selects, for the default window, without masking.
 
     Args:
         heightfield: The height field.
         to_light: Unit vector to the light, shape (3,).
         to_view: Unit vectors to the viewer, shape (n, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,).
-        sigma_um: Standard deviation of the window [µm].
-        masking: Whether V-cavity masking and shadowing is included.
 
     Returns:
         Shape (n, m).
@@ -69,21 +54,15 @@ def neighbours(
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         order = _spread(np.floor(position), -1, 1, heightfield.shape[axis])
         away = (order - position[:, None]) / heightfield.size_um[axis]
-        return order, np.exp(-2.0 * (math.pi * sigma_um * away) ** 2)
+        return order, np.exp(-2.0 * (math.pi * SIGMA_UM * away) ** 2)
 
-    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights, masking=masking)
+    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights)
 
 
 def periods(
-    heightfield: wd.HeightField,
-    to_light: Floats,
-    to_view: Floats,
-    wavelengths_nm: Floats,
-    *,
-    count: tuple[int, int],
-    interpolation: str,
-    masking: bool = True,
-) -> Floats:
+    heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats, *,
+    count: tuple[int, int], interpolation: str,
+) -> Floats:  # fmt: skip
     """Return ρ of ``count`` periods (y, x) by ``interpolation``, "linear" or "sinc"; see :func:`neighbours`."""
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
@@ -101,7 +80,7 @@ def periods(
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
-    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights, masking=masking)
+    return _reflectance(heightfield, to_light, to_view, wavelengths_nm, weights)
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
@@ -110,19 +89,12 @@ def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
 
 
 def _reflectance(
-    heightfield: wd.HeightField,
-    to_light: Floats,
-    to_view: Floats,
-    wavelengths_nm: Floats,
+    heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats,
     weights: Callable[[Floats, int], tuple[Floats, Floats]],
-    *,
-    masking: bool,
-) -> Floats:
-    """C·M·|Σ weight_s weight_r H_rs|², the weights of an axis from the positions (u, v) L/λ on it."""
+) -> Floats:  # fmt: skip
+    """C·|Σ weight_s weight_r H_rs|², the weights of an axis from the positions (u, v) L/λ on it."""
     lights = np.broadcast_to(to_light, to_view.shape)
-    gains = reflectance_factors.gain(
-        lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=masking
-    )
+    gains = reflectance_factors.gain(lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=False)
     scattering_vectors = -lights - to_view
     tau = 1e3 / np.asarray(wavelengths_nm)
     frequency = float(np.max(np.hypot(scattering_vectors[:, 0], scattering_vectors[:, 1])) * tau.max())
@@ -158,58 +130,3 @@ def _coefficients(
         fourier_coefficients.patch_grid(heightfield), frequency, (SINC_REACH + 1,) * 2
     )
     return fourier_coefficients.series_coefficients(heightfield, SERIES, terms, block, dtype=np.complex64), block, scale
-
-
-def order_colour(
-    rho: Floats, scattering_vectors: Floats, size_um: tuple[float, float], *, jacobian: bool = False
-) -> Floats:
-    """Return XYZ from the wavelengths L|u|/n and L|v|/n alone, as if they covered the spectrum evenly.
-
-    Args:
-        rho: ρ at 380, 381 … 780 nm, shape (n, 401); it is interpolated linearly.
-        scattering_vectors: (u, v, w), shape (n, 3).
-        size_um: The patch's extent (y, x) [µm].
-        jacobian: Whether a wavelength represents the interval to the next, λ²/(L|u|), and has the weight λ².
-
-    Returns:
-        Shape (n, 3); 0 where no order is visible, as around the mirror direction.
-    """
-    products = colorimetry.colour_products()
-    total, white = np.zeros((len(rho), 3)), np.zeros(len(rho))
-    row = np.arange(len(rho))
-    for length, along in zip(size_um, (scattering_vectors[:, 1], scattering_vectors[:, 0]), strict=True):
-        path = 1e3 * length * np.abs(along)
-        for order in range(1, math.floor(path.max() / colorimetry.LAMBDA_MIN_NM) + 1):
-            wavelength = path / order
-            visible = (wavelength >= colorimetry.LAMBDA_MIN_NM) & (wavelength <= colorimetry.LAMBDA_MAX_NM)
-            place = np.clip(wavelength - colorimetry.LAMBDA_MIN_NM, 0.0, len(products) - 1.0)
-            below = np.minimum(place.astype(int), len(products) - 2)
-            share = place - below
-            weight = visible * (wavelength**2 if jacobian else 1.0)
-            curves = (1.0 - share[:, None]) * products[below] + share[:, None] * products[below + 1]
-            value = (1.0 - share) * rho[row, below] + share * rho[row, below + 1]
-            total += (weight * value)[:, None] * curves
-            white += weight * curves[:, 1]
-    return total / np.maximum(white, 1e-30)[:, None]
-
-
-def stam_directions(
-    heightfield: wd.HeightField, scattering_vectors: Floats, gains: Floats, *, colours: str
-) -> NDArray[np.float32]:
-    """Return XYZ of Stam's analytic model, shape (n, 3); ``colours`` is "rainbow", as published, or "cie"."""
-    return stam_analytic.prepare(heightfield, wd.Coherence(), colours=colours)(
-        scattering_vectors, gains, resolve_threads(None)
-    )
-
-
-def stam_picture(
-    mesh: Any, heightfield: wd.HeightField, light: wd.DirectionalLight, view: wd.View, *, colours: str
-) -> NDArray[np.float32]:
-    """Return XYZ (height, width, 3) of a mesh under Stam's analytic model, without pigment."""
-    window, normal = wd.Coherence(), reflectance_factors.normal_reflectance(1.5)
-    frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.set_lights(lobes_of(light), window, 1.0, normal=normal)
-    frame.measure_directions(heightfield, window)
-    scattering_vectors, _, gains = frame.directions()
-    xyz = light.power * stam_directions(heightfield, scattering_vectors, np.float64(gains), colours=colours)
-    return np.where(gains[:, None] > 0.0, xyz, 0.0).reshape(view.height, view.width, 3)
