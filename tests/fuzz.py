@@ -1,4 +1,4 @@
-"""Fuzzed arguments: strategies made from the descriptions of options, and values of the library's own classes."""
+"""Fuzzed arguments: strategies made from the descriptions of options, and calls of everything that is public."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import dataclasses
 import decimal
 import fractions
 import functools
+import inspect
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import trimesh
 from hypothesis import strategies as st
 
@@ -260,3 +263,95 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     length = option.length or 2
     pairs = st.one_of(st.lists(one, min_size=length, max_size=length), st.lists(one, max_size=4))
     return st.one_of(one, pairs) if option.kind == "pair" else pairs
+
+
+WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
+# The library makes these, not a user; errors and warnings accept any text.
+MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period"}
+MADE_BY_THE_LIBRARY |= {"ToleranceError", "WarpdiffWarning"}
+# ``self`` where it is not fuzzed, by a call, and the arguments whose strategy it takes where it is.
+OWNERS = {
+    "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
+    "Material": lambda: wd.Material.metal("Au"),
+    "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
+    "HeightField": lambda: WAVY,
+    "Image": picture,
+    "Renderer": renderer,
+    "View": lambda: VIEW,
+    "BakedLobes": lobes,
+    "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
+}
+FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
+# Legal arguments that go with a fuzzed one; those of functions override those of all.
+LEGAL = {
+    "heightfield": HEIGHTFIELD, "mesh": MESH, "light": LIGHT, "lights": LIGHT, "view": VIEW, "to_light": UP,
+    "to_view": UP, "wavelengths_nm": [500.0], "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0),
+    "extent_y": 1.0, "period_um": 1.0, "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]],
+    "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,
+    "segments_along": 12, "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
+    "scattering_vectors": [[0.1, 0.2, -1.5]], "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
+    "position": (0.0, 0.0, 2.0), "delta_e": 10.0, "n": 1.5, "angle_deg": 30.0,
+}  # fmt: skip
+LEGAL_OF = {
+    "gratings.fingers": {"size_um": 6.4}, "HeightField.cropped": {"size_um": 0.5}, "Image.save": {"path": "a.png"},
+    "export_html": {"path": "a.html"}, "BakedLobes.save": {"path": "a.npz"}, "BakedSpectrum.save": {"path": "a.npz"},
+    "HeightField.save": {"path": "a.npz"}, "bake_spectrum": {"size": 16}, "Environment.load": {"path": "sky.exr"},
+    "HeightField.load": {"path": "integers.npy", "height_range_um": 0.3},
+    "Spectrum": {"wavelengths_nm": [300.0, 900.0], "values": [1.0, 2.0]},
+    "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
+}  # fmt: skip
+LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes}
+
+
+def write_files(folder: Path) -> None:
+    """Write the files that legal arguments name."""
+    np.save(folder / "a.npy", WAVY.heights_um)
+    np.save(folder / "integers.npy", np.arange(96, dtype=np.uint8).reshape(8, 12))
+    sky = oiio.ImageOutput.create(str(folder / "sky.exr"))
+    sky.open(str(folder / "sky.exr"), oiio.ImageSpec(4, 2, 3, "float"))
+    sky.write_image(np.ones((2, 4, 3), np.float32))
+    sky.close()
+
+
+def public():
+    """Every public callable by its name: the callable, and the class that it is a method of."""
+    for name in wd.__all__:
+        member = getattr(wd, name)
+        if inspect.ismodule(member):
+            own = [key for key, value in vars(member).items() if getattr(value, "__module__", "") == member.__name__]
+            for key in getattr(member, "__all__", own):
+                if inspect.isfunction(getattr(member, key)) and not key.startswith("_"):
+                    yield f"{name}.{key}", getattr(member, key), None
+            continue
+        if name not in MADE_BY_THE_LIBRARY:
+            yield name, member, None
+        if inspect.isclass(member):
+            for key, value in vars(member).items():
+                if not key.startswith("_") and (inspect.isfunction(value) or isinstance(value, classmethod)):
+                    yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
+
+
+PUBLIC = {name: (function, owner) for name, function, owner in public()}
+
+
+def call(name, fuzzed):
+    """Call something public with fuzzed arguments, and legal ones for the rest."""
+    function, owner = PUBLIC[name]
+    if name == "Plan":
+        fuzzed_plan = dataclasses.replace(plan(), **fuzzed)
+        return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
+    arguments = {}
+    for key, parameter in inspect.signature(function).parameters.items():
+        # The arguments of gratings that have a default are quick.
+        if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
+            arguments[key] = LEGAL[key]
+        elif key in LEGAL_BY_CALL and key not in fuzzed:
+            arguments[key] = LEGAL_BY_CALL[key]()
+    if "plan" in fuzzed:
+        arguments.pop("coherence")
+    if "extent_um" in fuzzed:
+        arguments.pop("pitch_um")
+    arguments |= LEGAL_OF.get(name, {}) | fuzzed
+    if owner is None:
+        return function(**arguments)
+    return function(arguments.pop("self", None) or OWNERS[owner](), **arguments)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import functools
-import inspect
 import re
 import signal
 import warnings
@@ -18,7 +15,7 @@ import pytest
 import trimesh
 import warp as wp
 from endurance import examples, seconds_left
-from fuzz import HEIGHTFIELD, LIGHT, MESH, SHORT, UP, VIEW
+from fuzz import FUZZED_OWNERS, PUBLIC, call
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,39 +23,6 @@ import warpdiff as wd
 
 resource = pytest.importorskip("resource", reason="limits of memory are POSIX")
 
-WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
-# The library makes these, not a user; errors and warnings accept any text.
-MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period"}
-MADE_BY_THE_LIBRARY |= {"ToleranceError", "WarpdiffWarning"}
-# ``self`` where it is not fuzzed, by a call, and the arguments whose strategy it takes where it is.
-OWNERS = {
-    "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
-    "Material": lambda: wd.Material.metal("Au"),
-    "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
-    "HeightField": lambda: WAVY,
-    "Image": fuzz.picture,
-    "Renderer": fuzz.renderer,
-    "View": lambda: VIEW,
-    "BakedLobes": fuzz.lobes,
-    "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
-}
-FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
-# Legal arguments that go with a fuzzed one; those of functions override those of all.
-LEGAL = {
-    "heightfield": HEIGHTFIELD, "mesh": MESH, "light": LIGHT, "lights": LIGHT, "view": VIEW, "to_light": UP,
-    "to_view": UP, "wavelengths_nm": [500.0], "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0),
-    "extent_y": 1.0, "period_um": 1.0, "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]],
-    "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,
-    "segments_along": 12, "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
-    "scattering_vectors": [[0.1, 0.2, -1.5]], "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
-    "position": (0.0, 0.0, 2.0), "delta_e": 10.0,
-}  # fmt: skip
-LEGAL_OF = {
-    "gratings.fingers": {"size_um": 6.4}, "HeightField.cropped": {"size_um": 0.5}, "Image.save": {"path": "a.png"},
-    "export_html": {"path": "a.html"}, "BakedLobes.save": {"path": "a.npz"}, "BakedSpectrum.save": {"path": "a.npz"},
-    "HeightField.save": {"path": "a.npz"},
-}  # fmt: skip
-LEGAL_BY_CALL = {"renderer": fuzz.renderer, "lobes": fuzz.lobes}
 # These require seconds by their nature.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
 # Seconds: a longer call hangs; it may compile kernels.
@@ -67,25 +31,6 @@ MOST_S = 60
 MOST_MORE_BYTES = 1 << 30
 
 
-def public():
-    """Every public callable by its name: the callable, and the class that it is a method of."""
-    for name in wd.__all__:
-        member = getattr(wd, name)
-        if inspect.ismodule(member):
-            own = [key for key, value in vars(member).items() if getattr(value, "__module__", "") == member.__name__]
-            for key in getattr(member, "__all__", own):
-                if inspect.isfunction(getattr(member, key)) and not key.startswith("_"):
-                    yield f"{name}.{key}", getattr(member, key), None
-            continue
-        if name not in MADE_BY_THE_LIBRARY:
-            yield name, member, None
-        if inspect.isclass(member):
-            for key, value in vars(member).items():
-                if not key.startswith("_") and (inspect.isfunction(value) or isinstance(value, classmethod)):
-                    yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
-
-
-PUBLIC = {name: (function, owner) for name, function, owner in public()}
 # A legal argument may be refused for a property of its own.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
@@ -98,29 +43,6 @@ def strategies_of(name):
     function, owner = PUBLIC[name]
     strategies = {option.name: fuzz.strategy(option) for option in fuzz.options_of(function)}
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})
-
-
-def call(name, fuzzed):
-    """Call something public with fuzzed arguments, and legal ones for the rest."""
-    function, owner = PUBLIC[name]
-    if name == "Plan":
-        plan = dataclasses.replace(fuzz.plan(), **fuzzed)
-        return [str(plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=plan)]
-    arguments = {}
-    for key, parameter in inspect.signature(function).parameters.items():
-        # The arguments of gratings that have a default are quick.
-        if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
-            arguments[key] = LEGAL[key]
-        elif key in LEGAL_BY_CALL and key not in fuzzed:
-            arguments[key] = LEGAL_BY_CALL[key]()
-    if "plan" in fuzzed:
-        arguments.pop("coherence")
-    if "extent_um" in fuzzed:
-        arguments.pop("pitch_um")
-    arguments |= LEGAL_OF.get(name, {}) | fuzzed
-    if owner is None:
-        return function(**arguments)
-    return function(arguments.pop("self", None) or OWNERS[owner](), **arguments)
 
 
 # Numbers of a result, by its class.
@@ -150,9 +72,9 @@ def numbers_of(result):
 
 @pytest.fixture(autouse=True)
 def _folder(tmp_path, monkeypatch):
-    """A folder with the file that is legal."""
+    """A folder with the files that are legal."""
     monkeypatch.chdir(tmp_path)
-    np.save(LEGAL["path"], WAVY.heights_um)
+    fuzz.write_files(tmp_path)
 
 
 @contextlib.contextmanager
@@ -191,10 +113,7 @@ def test_every_argument_has_a_strategy():
 
 def check(name, fuzzed):
     """Call it: it must compute a result of finite numbers, or refuse an argument by name."""
-    message, names = (
-        "",
-        {name.rpartition(".")[2], *strategies_of(name)} | ({"heightfield"} if "self" in fuzzed else set()),
-    )
+    message, names = "", {name.rpartition(".")[2], *strategies_of(name)}
     with warnings.catch_warnings(), little_memory(), no_hang():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         warnings.simplefilter("error", RuntimeWarning)
