@@ -71,8 +71,13 @@ _CLEANING = {
     "filled": ("--fill", None), "periodic": ("--periodic", None),
 }  # fmt: skip
 _COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
-_SAVE = ("exposure", "exposure_stops", "display", "gamut", "background", "bits")
-_SEQUENCE = ("formats", "animation", "frames_per_second", "overwrite")
+# The command line's words for arguments that no flag is made from.
+_WORDS = {
+    **{f"{method}()": flag for method, (flag, _) in _CLEANING.items()},
+    "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
+    "light": "--light", "to_light": "--light", "illuminant": "--illuminant", "coherence": "--coherence",
+    "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -135,7 +140,9 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         command.add_argument("--debug", action="store_true", help="show the full traceback of an error")
         command.set_defaults(run=known.run, words={}, stored=frozenset())
         if name == named:
-            known.add_flags(command)
+            flags = Flags(command)
+            known.add_flags(flags)
+            flags.finish(**known.words)
         command.set_defaults(flags=tuple(command._option_string_actions))
     return parser
 
@@ -156,39 +163,30 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _add_demo(demo: argparse.ArgumentParser) -> None:
+def _add_demo(flags: Flags) -> None:
+    demo = flags.parser
     demo.add_argument("-o", "--output", default="demo", metavar="FOLDER", help="folder of the pictures (default: demo)")
     demo.add_argument(
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
     )
     demo.add_argument("--scale", type=number, default=1.0, help="factor on the pictures' sizes (default: 1)")
-    flags = Flags(demo)
     flags.add(demo, describe(wd.Image.save), only=("display", "gamut"))
-    flags.finish(scale="--scale", output="--output")
 
 
-def _add_render(render: argparse.ArgumentParser) -> None:
-    flags = Flags(render)
-    _add_picture(flags, render, SinglePictureSettings)
-    render.add_argument(
-        "-o", "--output", required=True, metavar="FILE", help="picture, .png (display) or .exr (linear XYZ and RGB)"
-    )
+def _add_render(flags: Flags) -> None:
+    _add_picture(flags, SinglePictureSettings)
+    _add_output(flags)
     group = flags.group("environment")
     group.add_argument(
         "--environment", metavar="FILE", help="sky or room, EXR or HDR in latitude and longitude, linear sRGB"
     )
-    flags.add(group, describe(wd.Environment.load), only=_environment_options(), prefix="environment-")
+    loading = describe(wd.Environment.load)
+    flags.add(group, loading, only=loading.keys() - {"path"}, prefix="environment-")
     group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
-    flags.finish(**_words())
 
 
-def _environment_options() -> tuple[str, ...]:
-    return tuple(name for name in describe(wd.Environment.load) if name != "path")
-
-
-def _add_sequence(sequence: argparse.ArgumentParser) -> None:
-    flags = Flags(sequence)
-    _add_picture(flags, sequence, PictureSettings)
+def _add_sequence(flags: Flags) -> None:
+    _add_picture(flags, PictureSettings)
     group = flags.group("frames")
     group.add_argument(
         "-o", "--output", required=True, metavar="FOLDER",
@@ -204,30 +202,24 @@ def _add_sequence(sequence: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
     )
-    flags.add(group, describe(wd.sequence), only=_SEQUENCE)
+    flags.add(group, describe(wd.sequence), only=("formats", "animation", "frames_per_second", "overwrite"))
     group.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers render")
-    flags.finish(**_words() | {"path": "--path", "folder": "--output", "count": "--count", "to_light": "--light-to"})
 
 
-def _add_brdf(brdf: argparse.ArgumentParser) -> None:
-    flags = Flags(brdf)
+def _add_brdf(flags: Flags) -> None:
     _add_height_field(flags)
     _add_evaluation(flags, EvaluationSettings)
     _add_saving(flags)
-    brdf.add_argument(
-        "-o", "--output", required=True, metavar="FILE", help="picture, .png (display) or .exr (linear XYZ and RGB)"
-    )
+    _add_output(flags)
     group = flags.group("map")
     group.add_argument("--incidence-deg", type=number, default=0.0, help="light's angle from the normal (default: 0)")
     group.add_argument("--azimuth-deg", type=number, default=0.0, help="light's angle from the x axis (default: 0)")
     flags.add(group, describe(wd.reflectance_map), only=("size", "samples_per_pixel"))
-    flags.finish(**_words() | {"to_light": "--incidence-deg"})
 
 
-def _add_export_html(page: argparse.ArgumentParser) -> None:
-    flags = Flags(page)
-    page.add_argument("output", metavar="OUT", help="the page, .html")
-    page.add_argument("mesh", metavar="MESH", nargs="?", default="snake", help=f"{_MESH_HELP} (default: snake)")
+def _add_export_html(flags: Flags) -> None:
+    flags.parser.add_argument("output", metavar="OUT", help="the page, .html")
+    flags.parser.add_argument("mesh", metavar="MESH", nargs="?", default="snake", help=f"{_MESH_HELP} (default: snake)")
     _add_height_field(flags, default="fingers")
     group = flags.group("lobes")
     flags.add(group, describe(wd.bake), only=("delta_e", "strict", "device", "threads"))
@@ -235,25 +227,19 @@ def _add_export_html(page: argparse.ArgumentParser) -> None:
     _add_material(group)
     _add_illuminant(group)
     group = flags.group("page")
-    described = describe(wd.export_html)
-    flags.add(group, described, only=_PAGE)
+    of_page = ("masking", "pigment", "shadows", "smooth", "exposure", "title")
+    flags.add(group, describe(wd.export_html), only=of_page)
     flags.add(group, describe(PictureSettings), only=("ior", "tangents"))
     _add_scene(flags)
-    flags.finish(**_words() | {"path": "OUT"})
 
 
-_PAGE = ("masking", "pigment", "shadows", "smooth", "exposure", "title")
-
-
-def _add_info(info: argparse.ArgumentParser) -> None:
-    flags = Flags(info)
+def _add_info(flags: Flags) -> None:
     _add_height_field(flags)
-    flags.add(info, describe(EvaluationSettings), only=("tolerance",))
-    flags.finish(**_words())
+    flags.add(flags.parser, describe(EvaluationSettings), only=("tolerance",))
 
 
-def _add_view(view: argparse.ArgumentParser) -> None:
-    flags = Flags(view)
+def _add_view(flags: Flags) -> None:
+    view = flags.parser
     view.add_argument("mesh", nargs="*", metavar="MESH", help="mesh files that the page offers with the sample bodies")
     _add_height_field(flags, several=True)
     view.add_argument(
@@ -267,18 +253,17 @@ def _add_view(view: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     view.add_argument("--no-browser", action="store_true", help="only print the page's address")
     flags.add(view, describe(EvaluationSettings), only=("device", "threads"))
-    flags.finish(**_words())
 
 
-def _add_cache(cache: argparse.ArgumentParser) -> None:
-    less = cache.add_mutually_exclusive_group()
+def _add_cache(flags: Flags) -> None:
+    less = flags.parser.add_mutually_exclusive_group()
     less.add_argument("--trim-mib", type=number, metavar="MIB", help="keep at most this size, the last used files")
     less.add_argument("--clear", action="store_true", help="delete all files")
 
 
-def _add_picture(flags: Flags, command: Any, settings: type) -> None:
+def _add_picture(flags: Flags, settings: type) -> None:
     """Add the flags of pictures: mesh, height field, evaluation, lights and camera, and how files are saved."""
-    command.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
+    flags.parser.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
     _add_height_field(flags)
     _add_evaluation(flags, settings)
     _add_scene(flags)
@@ -345,17 +330,14 @@ def _add_scene(flags: Flags) -> None:
 
 
 def _add_saving(flags: Flags) -> None:
-    flags.add(flags.group("picture file"), describe(wd.Image.save), only=_SAVE)
+    saving = ("exposure", "exposure_stops", "display", "gamut", "background", "bits")
+    flags.add(flags.group("picture file"), describe(wd.Image.save), only=saving)
 
 
-def _words() -> dict[str, str]:
-    """Return the words for arguments that no flag is made from."""
-    words = {f"{method}()": flag for method, (flag, _) in _CLEANING.items()}
-    words |= {"mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film"}
-    words |= {"lights": "--light", "light": "--light", "to_light": "--light", "illuminant": "--illuminant"}
-    return words | {
-        "coherence": "--coherence", "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
-    }  # fmt: skip
+def _add_output(flags: Flags) -> None:
+    flags.parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="picture, .png (display) or .exr (linear XYZ and RGB)"
+    )
 
 
 def _progress() -> bool:
@@ -446,7 +428,7 @@ def _coherence(options: argparse.Namespace) -> Coherence | None:
     return Coherence(**values) if values else None
 
 
-def _settings(options: argparse.Namespace, settings: type) -> dict[str, Any]:
+def _settings(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
     """Return the settings that flags gave, with material and coherence."""
     return given(options, describe(settings)) | {"coherence": _coherence(options), "material": _material(options)}
 
@@ -590,7 +572,7 @@ def _check_output(options: argparse.Namespace) -> None:
 
 def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.float32] | None = None) -> None:
     saving = given(options, describe(wd.Image.save)) | ({} if background is None else {"background": background})
-    path = image.save(options.output, **{name: value for name, value in saving.items() if name in _SAVE})
+    path = image.save(options.output, **saving)
     print(image.plan)
     print(path)
 
@@ -633,8 +615,7 @@ def _export_html(options: argparse.Namespace) -> None:
     baking = given(options, describe(wd.bake)) | {"coherence": _coherence(options), "material": _material(options)}
     baking["illuminant"] = _illuminant(options.illuminant)
     lobes = wd.bake(heightfield, **baking, progress=_progress())
-    page = {name: value for name, value in given(options, describe(wd.export_html)).items() if name in _PAGE}
-    page |= {name: getattr(options, name) for name in ("ior", "tangents") if name in options}
+    page = given(options, describe(wd.export_html))
     path = wd.export_html(target, mesh, lobes, _lights(options, view), view, **page)
     print(lobes)
     print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -644,10 +625,9 @@ def _brdf(options: argparse.Namespace) -> None:
     _check_output(options)
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
-    sampling = {name: getattr(options, name) for name in ("size", "samples_per_pixel") if name in options}
     image = wd.reflectance_map(
         _height_field(options), to_light, illuminant=_illuminant(options.illuminant),
-        **_settings(options, EvaluationSettings), **sampling, progress=_progress(),
+        **_settings(options, wd.reflectance_map), progress=_progress(),
     )  # fmt: skip
     _save(image, options)
 
@@ -719,78 +699,65 @@ def _cache(options: argparse.Namespace) -> None:
 
 
 class _Command(NamedTuple):
-    """A command: its description, an example, the function that adds its flags, and the function that runs it."""
+    """A command: its description, an example, and the functions that add its flags and run it.
+
+    ``words`` are the command line's words for arguments that no flag is made from.
+    """
 
     what: str
     example: str
-    add_flags: Callable[[argparse.ArgumentParser], None]
+    add_flags: Callable[[Flags], None]
     run: Callable[[argparse.Namespace], None]
+    words: dict[str, str] = _WORDS
 
 
 _COMMANDS = {
     "demo": _Command(
         "render a set of pictures and say where they are",
-        (
-            "warpdiff demo --output pictures"
-        ),
-        _add_demo, _demo,
+        "warpdiff demo --output pictures",
+        _add_demo, _demo, {"scale": "--scale", "output": "--output"},
     ),
     "render": _Command(
         "render a mesh whose surface carries a height field",
-        (
-            "warpdiff render snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 \\\n"
-            "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png"
-        ),
+        "warpdiff render snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png",
         _add_render, _render,
     ),
     "sequence": _Command(
         "render frames: a body that turns, or under a light that moves, or along a camera's path",
-        (
-            "warpdiff sequence snake --heightfield fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn \\\n"
-            "      --animation turn.webp\n"
-            "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
-            "  warpdiff sequence snake --heightfield fingers --path camera.csv -o flight"
-        ),
+        "warpdiff sequence snake --heightfield fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn \\\n"
+        "      --animation turn.webp\n"
+        "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
+        "  warpdiff sequence snake --heightfield fingers --path camera.csv -o flight",
         _add_sequence, _sequence,
+        _WORDS | {"path": "--path", "folder": "--output", "count": "--count", "to_light": "--light-to"},
     ),
     "brdf": _Command(
         "map the reflectance over all view directions, seen from above",
-        (
-            "warpdiff brdf --heightfield blazed:period_um=2.5,depth_um=0.25 --incidence-deg 20 -o blazed.png"
-        ),
-        _add_brdf, _brdf,
+        "warpdiff brdf --heightfield blazed:period_um=2.5,depth_um=0.25 --incidence-deg 20 -o blazed.png",
+        _add_brdf, _brdf, _WORDS | {"to_light": "--incidence-deg"},
     ),
     "export-html": _Command(
         "write a page that shows a mesh in any browser",
-        (
-            "warpdiff export-html snake.html\n"
-            "  warpdiff export-html snake.html snake --heightfield scan.png --extent-um 65 --height-range-um 0.375 \\\n"
-            "      --level 2 --despike --periodic --pigment 0.1"
-        ),
-        _add_export_html, _export_html,
+        "warpdiff export-html snake.html\n"
+        "  warpdiff export-html snake.html snake --heightfield scan.png --extent-um 65 --height-range-um 0.375 \\\n"
+        "      --level 2 --despike --periodic --pigment 0.1",
+        _add_export_html, _export_html, _WORDS | {"path": "OUT"},
     ),
     "info": _Command(
         "describe a height field, and what an evaluation of it would compute",
-        (
-            "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2"
-        ),
+        "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
         _add_info, _info,
     ),
     "view": _Command(
         "turn body, light and surface by hand, on a page in the browser",
-        (
-            "warpdiff view\n"
-            "  warpdiff view snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 --periodic"
-        ),
+        "warpdiff view\n"
+        "  warpdiff view snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 --periodic",
         _add_view, _view,
     ),
     "cache": _Command(
         "show, trim or clear the disk cache of height fields",
-        (
-            "warpdiff cache\n"
-            "  warpdiff cache --trim-mib 200\n"
-            "  warpdiff cache --clear"
-        ),
-        _add_cache, _cache,
+        "warpdiff cache\n  warpdiff cache --trim-mib 200\n  warpdiff cache --clear",
+        _add_cache, _cache, {},
     ),
 }  # fmt: skip

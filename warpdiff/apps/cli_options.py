@@ -45,17 +45,18 @@ class Flags:
     """The flags of one command, and what its messages call each argument.
 
     Attributes:
+        parser: The command's parser.
         words: The command line's words by the names of arguments in Python.
     """
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
-        self._parser = parser
+        self.parser = parser
         self.words: dict[str, str] = {}
         self._stored: set[str] = set()
 
     def group(self, title: str) -> Any:
         """Return a group of flags with a title in the help."""
-        return self._parser.add_argument_group(title)
+        return self.parser.add_argument_group(title)
 
     def add(
         self, group: Any, options: Mapping[str, Option], *, only: Iterable[str] | None = None,
@@ -95,7 +96,7 @@ class Flags:
 
     def finish(self, **words: str) -> None:
         """Store the words with what is parsed; further words are by Python's names."""
-        self._parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
+        self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
 
 def _shape(option: Option) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpdiff.baked import quantisation, table_files
 from warpdiff.baked.interpolation import PolarGrid
-from warpdiff.core import forks, memory, validation
+from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
@@ -198,19 +198,11 @@ class BakedLobes:
         Returns:
             CIE XYZ, shape (n, 3), or (3,) for single directions, float32.
         """
-        lights, one_light = validation.directions(to_light, "to_light")
-        views, one_view = validation.directions(to_view, "to_view")
-        if len(lights) != len(views) and 1 not in (len(lights), len(views)):
-            raise ArgumentValueError(
-                f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "
-                f"{len(lights)} and {len(views)}"
-            )
-        shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
-        lights, views = np.broadcast_to(lights, shape), np.broadcast_to(views, shape)
+        lights, views, single = validation.light_and_view(to_light, to_view)
         normal = normal_reflectance(self, ior)
         gains = reflectance_factors.gain(lights, views, normal=normal, masking=validation.flag(masking, "masking"))
         result = (gains[:, None] * self.colours(-lights - views)).astype(np.float32)
-        return result[0] if one_light and one_view else result
+        return result[0] if single else result
 
     def _zeroth_order(self, uv: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
         """What the mean plane reflects, for a gain of 1, where it is not nothing."""
@@ -257,7 +249,7 @@ class BakedLobes:
             arrays["reflectances"] = self.reflectances
         if isinstance(self.illuminant, Spectrum):
             arrays |= {"illuminant_nm": self.illuminant.wavelengths_nm, "illuminant_values": self.illuminant.values}
-        return table_files.save(path, arrays)
+        return files.save_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> BakedLobes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.baked import table_files
-from warpdiff.core import validation
+from warpdiff.core import files, validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
 
@@ -90,7 +90,7 @@ class BakedSpectrum:
         Returns:
             The path.
         """
-        return table_files.save(path, {"format": FORMAT, **vars(self)})
+        return files.save_arrays(path, {"format": FORMAT, **vars(self)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> BakedSpectrum:

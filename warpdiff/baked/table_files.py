@@ -1,4 +1,4 @@
-"""Files of named arrays: compressed ``.npz`` of NumPy, written atomically and checked before they are unpacked."""
+"""Files of named arrays: compressed ``.npz`` of NumPy, checked before they are unpacked."""
 
 from __future__ import annotations
 
@@ -8,25 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import files, memory, validation
+from warpdiff.core import memory, validation
 from warpdiff.core.files import naming_file
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-
-def save(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Path:
-    """Write arrays by name, compressed; an existing file is replaced only once the new one is complete."""
-    target = validation.path(path, "path")
-    if target.suffix.lower() != ".npz":
-        raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
-    files.check_folder(target.parent, "path")
-    with files.atomic_write(target) as temporary, temporary.open("rb+") as file:
-        np.savez_compressed(file, **arrays)
-    return target
+    from collections.abc import Iterator
 
 
 @contextlib.contextmanager

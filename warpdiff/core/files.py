@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
 _unfinished: set[Path] = set()
@@ -40,6 +43,17 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
     finally:
         temporary.unlink(missing_ok=True)
         _unfinished.discard(temporary)
+
+
+def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
+    """Write arrays by name to a ``.npz`` file, the argument ``path``, atomically."""
+    target = validation.path(path, "path")
+    if target.suffix.lower() != ".npz":
+        raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
+    check_folder(target.parent, "path")
+    with atomic_write(target) as temporary, temporary.open("rb+") as file:
+        (np.savez_compressed if compressed else np.savez)(file, **arrays)
+    return target
 
 
 def discard_unfinished() -> None:

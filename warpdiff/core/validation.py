@@ -150,6 +150,19 @@ def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
     return array, single
 
 
+def light_and_view(to_light: Any, to_view: Any) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Return ``to_light`` and ``to_view`` as unit vectors, both of shape (n, 3), and whether both were single."""
+    lights, one_light = directions(to_light, "to_light")
+    views, one_view = directions(to_view, "to_view")
+    if len(lights) != len(views) and 1 not in (len(lights), len(views)):
+        raise ArgumentValueError(
+            f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "
+            f"{len(lights)} and {len(views)}"
+        )
+    shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
+    return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
+
+
 def choice(value: Any, name: str, options: Collection[Any]) -> Any:
     """Return ``value`` if it is one of ``options``."""
     if not isinstance(value, (str, int)) or isinstance(value, bool) or value not in options:

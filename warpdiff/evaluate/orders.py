@@ -207,6 +207,5 @@ def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> No
             warn(
                 f"orders up to {largest} propagate along {name}, but {heightfield.shape[axis]} samples represent half "
                 "as many: higher orders alias onto lower ones; scan at a finer pitch, or use HeightField.resampled() "
-                "if "
-                "the surface is smooth"
+                "if the surface is smooth"
             )

@@ -19,7 +19,7 @@ from warpdiff.image.image import Image, lengths, relative_errors
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
-from warpdiff.planner.strategy import broadcast_directions, plan_for, warn_outside
+from warpdiff.planner.strategy import plan_for, warn_outside
 from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import BrdfSettings, EvaluationSettings, SpectralSettings
@@ -195,7 +195,7 @@ def brdf(
     relative = spectral_reflectance(
         heightfield, to_light, to_view, wavelengths_nm, masking=False, progress=progress, **common
     )
-    lights, views, single = broadcast_directions(to_light, to_view)
+    lights, views, single = validation.light_and_view(to_light, to_view)
     wavelengths_um = colorimetry.check_wavelengths(wavelengths_nm) * 1e-3
     cos_light = np.where(lights[:, 2] > HORIZON, lights[:, 2], 1.0)
     scale = reflectance_factors.brdf_scale(
@@ -214,7 +214,7 @@ class _Call:
     """Pairs of directions with the plan for them."""
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
-        self._lights, self._views, self._is_single = broadcast_directions(to_light, to_view)
+        self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
         directions = len(self._lights)
         values = 0 if request.wavelengths_nm is None else len(request.wavelengths_nm)
         memory.require_memory(

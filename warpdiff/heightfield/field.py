@@ -157,13 +157,7 @@ class HeightField:
             ValueError: The name does not end in ``.npz``.
             OSError: The folder does not exist, or the file cannot be written.
         """
-        file = validation.path(path, "path")
-        if file.suffix.lower() != ".npz":
-            raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
-        files.check_folder(file.parent, "path")
-        with files.atomic_write(file) as temporary, temporary.open("rb+") as stream:
-            np.savez(stream, heights_um=self._heights_um, pitch_um=self._pitch_um)
-        return file
+        return files.save_arrays(path, {"heights_um": self._heights_um, "pitch_um": self._pitch_um}, compressed=False)
 
     @property
     def heights_um(self) -> NDArray[np.float64]:

@@ -141,7 +141,7 @@ def directions_of(
     heightfield, coherence = request.heightfield, request.coherence
     some_lights, some_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, _SEED)
     if to_light is not None and to_view is not None:
-        lights, views, _ = broadcast_directions(to_light, to_view)
+        lights, views, _ = validation.light_and_view(to_light, to_view)
     else:
         lights = some_lights if to_light is None else _some_of(to_light, "to_light")
         views = some_views if to_view is None else _some_of(to_view, "to_view")
@@ -183,22 +183,6 @@ def _any_direction(
     # A grazing source has no largest bandwidth: what exceeds the sample's takes the largest set of wavelengths.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
-
-
-def broadcast_directions(
-    to_light: ArrayLike, to_view: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Unit directions, both of shape (n, 3), and whether both were single."""
-    lights, one_light = validation.directions(to_light, "to_light")
-    views, one_view = validation.directions(to_view, "to_view")
-    if len(lights) != len(views) and 1 not in (len(lights), len(views)):
-        raise ArgumentValueError(
-            f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "
-            f"{len(lights)} and "
-            f"{len(views)}"
-        )
-    shape = (max(len(lights), len(views)) if len(lights) and len(views) else 0, 3)
-    return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
 def _expansion(request: Evaluation) -> tuple[str, str]:
@@ -415,10 +399,8 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
         what, sigma = f"{ref('sigma_um', plan.coherence.sigma_um)} is too short", plan.coherence.sigma_um
     raise ArgumentValueError(
         f"{what} for a patch of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm, as it covers {rows} × "
-        f"{columns} "
-        f"coefficients: crop the height field to about {_PATCH_IN_SIGMAS * sigma:.3g} µm, which looks the same under "
-        "this "
-        "coherence"
+        f"{columns} coefficients: crop the height field to about {_PATCH_IN_SIGMAS * sigma:.3g} µm, which looks the "
+        "same under this coherence"
     )
 
 
@@ -443,10 +425,9 @@ def _with_wavelengths(heightfield: HeightField, plan: Plan) -> Plan:
     if count > _MOST_WAVELENGTHS or count * divisions > _MOST_SAMPLES:
         raise ToleranceError(
             f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
-            "requires "
-            f"{count * divisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, {_MOST_SAMPLES} for "
-            "replicas: use "
-            f"{_LESS_COHERENT[plan.coherence.kind]}, a larger {ref('tolerance')}, or warpdiff.spectral_reflectance"
+            f"requires {count * divisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, {_MOST_SAMPLES} for "
+            f"replicas: use {_LESS_COHERENT[plan.coherence.kind]}, a larger {ref('tolerance')}, or "
+            "warpdiff.spectral_reflectance"
         )
     return replace(plan, wavelengths=count, subdivisions=divisions)
 
@@ -466,8 +447,7 @@ def warn_outside(plan: Plan, heightfield: HeightField, direction_range: Directio
     if beyond and plan.method != "direct":
         warn(
             f"{ref('plan')} is used beyond its valid range: {'; '.join(beyond)}; results may be wrong: make a plan for "
-            "these "
-            "directions and this height field with warpdiff.plan()"
+            "these directions and this height field with warpdiff.plan()"
         )
 
 
@@ -498,8 +478,7 @@ def _check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
     how = f"measured on {plan.validation_size} directions" if plan.is_measured else "by its bound"
     message = (
         f"the {LABELS[plan.method]} cannot meet {ref('tolerance', plan.tolerance)}: {why}, an error of {error:.1e} "
-        f"{how}"
-        f"{risk}; {remedy}, or a larger {ref('tolerance')}"
+        f"{how}{risk}; {remedy}, or a larger {ref('tolerance')}"
     )
     if strict:
         raise ToleranceError(f"{message}; {ref('strict', False)} computes it anyway")
@@ -518,8 +497,6 @@ def _warn_of_aliasing(direction_range: DirectionRange, pitch_um: float, radius: 
     if direction_range.max_uv > supported * (1.0 + 1e-9):
         warn(
             f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at "
-            f"{direction_range.lambda_min_nm:g} nm, "
-            f"but directions reach {direction_range.max_uv:.3g}: higher orders alias onto lower ones; scan at a finer "
-            "pitch, "
-            "or use HeightField.resampled() if the surface is smooth"
+            f"{direction_range.lambda_min_nm:g} nm, but directions reach {direction_range.max_uv:.3g}: higher orders "
+            "alias onto lower ones; scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         )

@@ -251,8 +251,7 @@ class Renderer:
             if not validation.number(tolerance, "previews", most=0.5) > self.plan.tolerance:
                 raise ArgumentValueError(
                     f"{ref('previews')} must have tolerances above the plan's {self.plan.tolerance:g}, got "
-                    f"{tolerance!r}: "
-                    "omit it"
+                    f"{tolerance!r}: omit it"
                 )
             if not callable(function):
                 raise ArgumentTypeError(

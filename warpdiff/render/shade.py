@@ -248,8 +248,7 @@ def warn_unconverged(image: Image) -> None:
             f"{100.0 * plan.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
             f"{ref('tolerance', plan.tolerance)}, and {100.0 * plan.unconverged_edge_share:.2g} % of those at edges to "
             "exceed three times the tolerance: see image.error; render a larger picture, move the camera closer, or "
-            "give "
-            "an Environment more directions"
+            "give an Environment more directions"
         )
 
 

@@ -305,8 +305,7 @@ class Plan:
         if self.energy_spread:
             sentences.append(
                 "Energy is normalised over all wavelengths together; the reflected power of single wavelengths "
-                "deviates "
-                f"by {self.energy_spread:.2g}"
+                f"deviates by {self.energy_spread:.2g}"
             )
         table = f", after {self.table_seconds:.2g} s for the table" if self.rings_per_octave else ""
         sentences.append(

@@ -107,8 +107,7 @@ class PlannedSettings(CommonSettings):
         if self.plan is not None and self.coherence not in (None, self.plan.coherence):
             raise ArgumentValueError(
                 f"{ref('coherence')} differs from the coherence of {ref('plan')}; give one of them, or change the plan "
-                "by "
-                "dataclasses.replace"
+                "by dataclasses.replace"
             )
 
     @property

@@ -7,13 +7,13 @@ A grating that varies along x spreads its colours along t. ``tube`` and ``snake`
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdiff.core import memory, validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.samples.corn_snake import Tangent, snake
+from warpdiff.samples.corn_snake import Tangent, check_meander, snake
 
 if TYPE_CHECKING:
     import trimesh
@@ -55,11 +55,7 @@ def tube(
     Raises:
         ValueError: An argument is out of its range, or the bends are narrower than the body.
     """
-    validation.positive(radius, "radius")
-    validation.positive(length, "length")
-    validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
-    validation.number(waves, "waves", least=0.0)
-    validation.choice(tangent, "tangent", get_args(Tangent))
+    check_meander(radius, length, bend_deg, waves, tangent)
     validation.count(segments_along, "segments_along", least=12)
     validation.count(segments_around, "segments_around", least=3)
     memory.require_faces(

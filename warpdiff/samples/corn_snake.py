@@ -127,11 +127,7 @@ def snake(
     Raises:
         ValueError: An argument is out of its range, or the body would intersect itself.
     """
-    validation.positive(radius, "radius")
-    validation.positive(length, "length")
-    validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
-    validation.number(waves, "waves", least=0.0)
-    validation.choice(tangent, "tangent", get_args(Tangent))
+    check_meander(radius, length, bend_deg, waves, tangent)
     if validation.count(scale_rows, "scale_rows", least=5) % 2 == 0:
         raise ArgumentValueError(
             f"{ref('scale_rows')} must be odd (a row on the spine and as many on either side), got {scale_rows}"
@@ -167,6 +163,15 @@ def snake(
     # Rows of texels go down from v = 1.
     colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
     return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
+
+
+def check_meander(radius: float, length: float, bend_deg: float, waves: float, tangent: str) -> None:
+    """Check the arguments that bodies of snakes have in common."""
+    validation.positive(radius, "radius")
+    validation.positive(length, "length")
+    validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
+    validation.number(waves, "waves", least=0.0)
+    validation.choice(tangent, "tangent", get_args(Tangent))
 
 
 class _Skin:
