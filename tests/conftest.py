@@ -1,7 +1,5 @@
 """Fixtures: real inputs where they are present, devices, directions."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

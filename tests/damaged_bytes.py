@@ -3,8 +3,6 @@
 It prints how many were tried, then what was wrong. Where it dies or hangs, the last one lies in the folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

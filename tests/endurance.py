@@ -5,19 +5,15 @@ numbers are drawn. Each test gets a share of the time that is left, or as many a
 tries nothing more once that is over.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import time
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from hypothesis import HealthCheck, seed, settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
 
 _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))

@@ -1,7 +1,5 @@
 """A triangle with a texture as a glTF file, whose buffer and image lie where a test wants them."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

@@ -1,7 +1,5 @@
 """Rules of the source tree: the layers, by import-linter, and what it cannot check."""
 
-from __future__ import annotations
-
 import ast
 import collections
 import re

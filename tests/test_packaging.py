@@ -1,7 +1,5 @@
 """What is shipped: wheel, sdist and editable install, used from outside the checkout; and what the package imports."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import inspect

@@ -1,7 +1,5 @@
 """The command line, run as a user would: exit codes, files, messages, progress."""
 
-from __future__ import annotations
-
 import functools
 import os
 import subprocess

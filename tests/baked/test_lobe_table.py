@@ -1,7 +1,5 @@
 """Baked lobes and spectra, against closed forms, the float64 reference, and what they were baked from."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

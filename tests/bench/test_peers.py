@@ -1,7 +1,5 @@
 """Peers compute what they claim, or comparisons with them would be meaningless."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import hemisphere

@@ -1,7 +1,5 @@
 """The reference that judges pictures equals the direct sum, which judges points, in every regime."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The suite of charts: comparisons, refusals and files. Its measurements are not tested."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

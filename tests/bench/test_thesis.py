@@ -1,7 +1,5 @@
 """The period of a blazed grating from where its first order is brightest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

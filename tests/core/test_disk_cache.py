@@ -1,7 +1,5 @@
 """Disk cache: equal to the bit, under a limit, and pictures do not depend on it."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

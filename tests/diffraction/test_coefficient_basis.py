@@ -1,7 +1,5 @@
 """Bases of Fourier coefficients against transforms of exp(2πiκh), and their truncation errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

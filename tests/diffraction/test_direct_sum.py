@@ -1,7 +1,5 @@
 """The direct sum against an explicit average over window positions, and the kernel against the direct sum."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Energy normalisation: pictures and maps of perfect mirrors conserve energy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fourier coefficients of profiles whose transform is known, in float64 and through the kernel."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Phase series in float32: where each one breaks, and the messages that say so."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

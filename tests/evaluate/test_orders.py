@@ -1,7 +1,5 @@
 """Efficiencies of orders: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, bad input."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,7 @@
 """Cleaning: identities of levelling, resampling and the periodic part, despiking, and the real scan."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +9,6 @@ import pytest
 from warpdiff import gratings
 from warpdiff.core.wording import WarpdiffWarning
 from warpdiff.heightfield.field import HeightField
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:

@@ -1,7 +1,5 @@
 """Diagnostics: the summary, wrong units, and the error bound of scalar diffraction against rigorous solutions."""
 
-from __future__ import annotations
-
 import json
 import math
 import warnings

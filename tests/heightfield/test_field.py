@@ -1,7 +1,5 @@
 """Height fields: the class, cropping, orientation, and bad arguments."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from typing import Any

@@ -1,8 +1,6 @@
 """Samples without a height: kept apart, filled as stated, left alone by every step, and refused where light falls."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +10,6 @@ from warpdiff import gratings
 from warpdiff.apps import cli
 from warpdiff.core.validation import finite_array
 from warpdiff.heightfield import inpainting
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PITCH = (0.1, 0.08)
 SHAPE = (50, 60)

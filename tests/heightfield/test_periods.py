@@ -1,7 +1,5 @@
 """Periods by harmonic fits, their errors, cuts to whole ones, and what making a patch periodic does to few of them."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -1,10 +1,10 @@
 """Files of heights: images, .npy, .npz with pitch, readers that a user registers, and damaged files."""
 
-from __future__ import annotations
-
 import math
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
@@ -12,10 +12,6 @@ import pytest
 
 from warpdiff.heightfield import readers
 from warpdiff.heightfield.field import HeightField
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:

@@ -1,7 +1,5 @@
 """What displays show: colour-science's conversions, hues of bands of light, bounds, tables."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

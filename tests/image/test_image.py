@@ -1,7 +1,5 @@
 """Files of pictures, read back through OpenImageIO."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import errno

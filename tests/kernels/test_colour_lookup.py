@@ -1,7 +1,5 @@
 """The native look-ups give what plain Warp kernels give, pixel by pixel."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import lookup_specification

@@ -1,7 +1,5 @@
 """CUDA: every kernel compiles for sm_90 on a machine without a GPU, and with one computes what the CPU does."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

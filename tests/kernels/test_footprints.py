@@ -1,7 +1,5 @@
 """Footprints: a pixel shows the mean of what its filter sees, as the same picture of many rays a pixel does."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

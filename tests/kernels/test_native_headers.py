@@ -1,7 +1,5 @@
 """Native headers: each is included, listed as a build dependency, and compiles with any compiler."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

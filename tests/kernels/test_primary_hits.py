@@ -1,7 +1,5 @@
 """Rays, shading frames and base colours of the kernel against brute force in float64."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

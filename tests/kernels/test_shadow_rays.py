@@ -1,7 +1,5 @@
 """Shadow rays: by grids in the light's view and by the hierarchy against brute force in float64."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

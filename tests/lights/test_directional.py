@@ -1,7 +1,5 @@
 """Directional lights: their direction, and refusals."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lights of a size: the lobes that stand for a disc, and pictures against a disc of many points."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

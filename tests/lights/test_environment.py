@@ -1,7 +1,5 @@
 """Environments: blurred skies, mirrors and gratings under them, their pigment and shadows, skies behind pictures."""
 
-from __future__ import annotations
-
 import copy
 import math
 

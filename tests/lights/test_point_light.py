@@ -1,7 +1,5 @@
 """Lights at a place: directions and falloff by pixel, footprints, and what stands beyond the light."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

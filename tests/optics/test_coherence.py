@@ -1,7 +1,5 @@
 """Coherence: direct sums of periods and of a source against written-out sums, and the solid angles of all kinds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

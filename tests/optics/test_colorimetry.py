@@ -1,7 +1,5 @@
 """Colour: white, quadratures, matrices and the transfer function."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys

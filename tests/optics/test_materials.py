@@ -1,7 +1,5 @@
 """Materials: Fresnel's equations and films against characteristic matrices, files, and flat surfaces."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Spectra of light sources: temperatures, files, names of colour-science, and refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

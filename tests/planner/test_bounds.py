@@ -1,7 +1,5 @@
 """Bounds: calls too small for a search meet their tolerance; each of these broke it once."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

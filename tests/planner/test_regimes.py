@@ -1,7 +1,5 @@
 """Regimes: the automatic choice meets its tolerance where other computations break, or names the reason."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

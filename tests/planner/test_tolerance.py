@@ -1,7 +1,5 @@
 """Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and former failures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import at_angle, slow

@@ -1,7 +1,5 @@
 """Peaks of periodic gratings lie where sin θi + sin θr = mλ/d says."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

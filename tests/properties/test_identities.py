@@ -1,7 +1,5 @@
 """What must hold whatever the height field: reciprocity, symmetry, invariance, energy, direction of reflection."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

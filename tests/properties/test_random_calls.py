@@ -1,7 +1,5 @@
 """Whatever the height field, the coherence, the directions and the wavelengths: results are numbers, and symmetric."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

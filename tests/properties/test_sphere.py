@@ -1,7 +1,5 @@
 """No direction on the sphere gives NaN, infinity or a negative value, whatever the method and the coherence."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

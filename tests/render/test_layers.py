@@ -1,7 +1,5 @@
 """Layers of a picture: normals, depths and geometries that pixels' centres meet, and that a file's normals are kept."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calls and pictures of materials, against the float64 reference, whose reflectances are by characteristic matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Refinement: pixels whose parts differ are split, until a picture is that of many rays a pixel."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import types

@@ -3,8 +3,6 @@
 Warp records and replays launches on the CPU, too, so that this needs no GPU.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """``shade``: pictures against the float64 reference, and what must hold of every picture."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import threading

@@ -1,7 +1,5 @@
 """Which directions of a call are looked at."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plans: from a tolerance to numbers, what they say, that they are obeyed; and the tables kept for the next call."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import math

@@ -1,7 +1,5 @@
 """Settings: one field is an option everywhere; misspelt names and wrong values get one clear error."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import shutil

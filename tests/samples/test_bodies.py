@@ -1,7 +1,5 @@
 """The sample bodies: shape, seam, and which way t runs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

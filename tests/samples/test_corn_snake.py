@@ -1,7 +1,5 @@
 """The snake: a closed surface of as many scales as asked for, its free edges, its tangent field and its pattern."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Synthetic gratings: closed forms, continuity across the seam, statistics of what is random, and bad input."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

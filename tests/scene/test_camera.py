@@ -1,7 +1,5 @@
 """Cameras: orientation, framing, and refusals."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """What becomes of a mesh: checks, normals, tangents, handedness, base colours, convexity."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

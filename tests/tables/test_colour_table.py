@@ -1,7 +1,5 @@
 """Colour tables against the float64 reference, closed forms and sampled integration."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """Tables for sources: lines that look-ups blur, against the float64 reference, closed forms and sampling."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

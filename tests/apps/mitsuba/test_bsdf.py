@@ -3,8 +3,6 @@
 `make test-mitsuba` installs what it needs. Variants that compile need LLVM, 17 or newer; older ones end the process.
 """
 
-from __future__ import annotations
-
 import glob
 import os
 import re

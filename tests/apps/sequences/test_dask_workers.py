@@ -1,7 +1,5 @@
 """Frames by workers of Dask are those that are drawn here, also where workers are killed; ``make test-dask``."""
 
-from __future__ import annotations
-
 import os
 import signal
 

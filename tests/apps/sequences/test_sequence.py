@@ -1,7 +1,5 @@
 """Sequences: shots lie where they should, frames are the renderer's, and what was interrupted goes on."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import pickle

@@ -3,8 +3,6 @@
 Software WebGL is slow: bodies, canvases and numbers of frames are small, and the page draws a few frames at a time.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import os
