@@ -40,6 +40,14 @@ def scan(scan_path):
     return wd.HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
 
 
+@pytest.fixture(scope="session")
+def fingers():
+    """A patch of fingers whose orders overlap under short windows."""
+    import warpdiff as wd
+
+    return wd.gratings.fingers(size_um=12.8, seed=4)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A seeded generator."""
@@ -103,6 +111,20 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Write a picture (height, width, channels) of the pixels' type."""
+    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+
+    buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    assert buffer.write(str(path)), buffer.geterror()
+
+
+def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Errors (n,) of colours (n, 3), relative to each, or to a thousandth of the luminance of the brightest."""
+    floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
+    return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 
 
 @pytest.fixture(scope="session")

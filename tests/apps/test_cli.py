@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 import pytest
-from conftest import slow
+from conftest import slow, write_image
 
 import warpdiff as wd
 from warpdiff import gratings
@@ -50,10 +50,7 @@ def test_render_of_files(tmp_path, fuze_path):
 def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     polar, azimuth = (np.arange(8) + 0.5) / 8, (np.arange(16) + 0.5) / 16
     radiance = np.stack([*np.broadcast_arrays(polar[:, None], azimuth, 1.0 - polar[:, None])], axis=-1)
-    output = oiio.ImageOutput.create(str(tmp_path / "sky.exr"))
-    output.open(str(tmp_path / "sky.exr"), oiio.ImageSpec(16, 8, 3, "float"))
-    output.write_image(radiance.astype(np.float32))
-    output.close()
+    write_image(tmp_path / "sky.exr", radiance.astype(np.float32))
     size = {"width": 16, "height": 12}
     short = ["--tolerance", "0.5", "--sigma-um", "1"]
     command = [

@@ -19,11 +19,6 @@ TOLERANCE = 2.0
 
 
 @pytest.fixture(scope="module")
-def fingers():
-    return wd.gratings.fingers(size_um=12.8, seed=4)
-
-
-@pytest.fixture(scope="module")
 def lobes(fingers):
     return wd.bake(fingers, coherence=WINDOW, delta_e=TOLERANCE)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
 import pytest
+from conftest import write_image
 
 from warpdiff.heightfield import readers
 from warpdiff.heightfield.field import HeightField
@@ -18,9 +19,8 @@ def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
     return HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
 
 
-def write_image(path: Path, samples: np.ndarray, channels: int = 1) -> None:
-    buffer = oiio.ImageBuf(np.ascontiguousarray(np.repeat(samples[..., None], channels, axis=2)))
-    assert buffer.write(str(path)), buffer.geterror()
+def write_channels(path: Path, samples: np.ndarray, channels: int = 1) -> None:
+    write_image(path, np.repeat(samples[..., None], channels, axis=2))
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_integer_images_span_the_types_full_scale(tmp_path: Path, dtype: str, su
     full = np.iinfo(dtype).max
     samples = np.random.default_rng(1).integers(0, full, (9, 13), dtype=dtype, endpoint=True)
     samples[0, :3] = (0, full, 1)
-    write_image(tmp_path / f"a.{suffix}", samples)
+    write_channels(tmp_path / f"a.{suffix}", samples)
     field = HeightField.load(tmp_path / f"a.{suffix}", extent_um=6.5, height_range_um=0.375)
     np.testing.assert_allclose(field.heights_um, samples * (0.375 / full), rtol=1e-15)
     assert field.pitch_um == (0.5, 0.5)
@@ -45,7 +45,7 @@ def test_floating_point_files_are_in_micrometres(tmp_path: Path, suffix: str) ->
     if suffix == "npy":
         np.save(tmp_path / "a.npy", heights)
     else:
-        write_image(tmp_path / f"a.{suffix}", heights)
+        write_channels(tmp_path / f"a.{suffix}", heights)
     field = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=(0.1, 0.2))
     np.testing.assert_array_equal(field.heights_um, heights)
     assert field.pitch_um == (0.1, 0.2)
@@ -53,13 +53,13 @@ def test_floating_point_files_are_in_micrometres(tmp_path: Path, suffix: str) ->
 
 def bad_files(folder: Path) -> None:
     grey = np.arange(2500, dtype=np.uint8).reshape(50, 50)
-    write_image(folder / "grey.png", grey)
-    write_image(folder / "alpha.png", grey, 2)
-    write_image(folder / "rgb.png", grey, 3)
-    write_image(folder / "float.tif", grey.astype(np.float32))
-    write_image(folder / "infinite.exr", np.array([[0.0, np.inf]], dtype=np.float32))
+    write_channels(folder / "grey.png", grey)
+    write_channels(folder / "alpha.png", grey, 2)
+    write_channels(folder / "rgb.png", grey, 3)
+    write_channels(folder / "float.tif", grey.astype(np.float32))
+    write_channels(folder / "infinite.exr", np.array([[0.0, np.inf]], dtype=np.float32))
     noisy = np.random.default_rng(0).integers(0, 255, (50, 50), dtype=np.uint8)
-    write_image(folder / "cut.png", noisy)
+    write_channels(folder / "cut.png", noisy)
     (folder / "cut.png").write_bytes((folder / "cut.png").read_bytes()[:1500])
     (folder / "text.png").write_text("not an image")
     (folder / "text.npy").write_text("not an array")

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
+from conftest import relative_errors
 
 import warpdiff as wd
 from bench.truth.brute_force import shading_frame
@@ -24,11 +25,6 @@ SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 # Of 144, P99 of the best pictures was their own noise: 0.25, and 0.06 against these.
 RAYS = 400
-
-
-@pytest.fixture(scope="module")
-def fingers():
-    return wd.gratings.fingers(size_um=12.8, seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +49,7 @@ def pictures(tube, fingers):
 def errors(image, exact):
     """Of pixels that lie wholly inside the lit surface."""
     inside = (exact.coverage == 1.0) & image.illuminated
-    size = np.linalg.norm(exact.xyz[inside], axis=1)
-    floor = 1e-3 * np.percentile(exact.xyz[inside][:, 1], 99.0)
-    return np.linalg.norm(image.xyz[inside] - exact.xyz[inside], axis=1) / np.maximum(size, floor)
+    return relative_errors(image.xyz[inside], exact.xyz[inside])
 
 
 def to_first_order(spreads):

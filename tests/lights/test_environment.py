@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from conftest import slow
+from conftest import slow, write_image
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
@@ -29,6 +29,14 @@ def middles(height):
     along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
     edges = np.cos(np.arange(height + 1) / height * math.pi)
     return np.stack(along, axis=-1), (edges[:-1] - edges[1:])[:, None] * math.pi / height
+
+
+def spectrum_of_a_sky(sigma_um):
+    """D65 over λ², which is what a window makes of a sky's radiance per solid angle, and its 4πσ²/λ² per luminance."""
+    nm, products = np.arange(380.0, 781.0), colorimetry.colour_products("D65")[:, 1]
+    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
+    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
+    return spectrum, 4.0 * math.pi * sigma_um**2 * (products / (nm * 1e-3) ** 2).sum() / products.sum()
 
 
 def seen_at(degrees):
@@ -104,28 +112,20 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
     lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
-    nm = np.arange(380.0, 781.0)
-    products = colorimetry.colour_products("D65")
-    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
-    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
-    per_luminance = (products[:, 1] / (nm * 1e-3) ** 2).sum() / products[:, 1].sum()
+    spectrum, per_luminance = spectrum_of_a_sky(4.0)
     rho = wd.reflectance(
         heightfield, lights, np.array(view.eye) / np.linalg.norm(view.eye), illuminant=spectrum, coherence=window,
         ior=math.inf,
     )  # fmt: skip
     radiance = 1.0 + 0.8 * lights[:, 1] + 0.5 * np.sin(3.0 * lights[:, 0] + 1.0)
-    exact = step**2 * 4.0 * math.pi * 4.0**2 * per_luminance * (radiance / lights[:, 2]) @ rho
+    exact = step**2 * per_luminance * (radiance / lights[:, 2]) @ rho
     assert found == pytest.approx(exact, rel=within)
 
 
 def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
     # Of 1.4° a pixel, linear between them, so that the sun reaches as far to all sides.
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
-    nm = np.arange(380.0, 781.0)
-    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
-    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
-    products = colorimetry.colour_products("D65")[:, 1]
-    per_luminance = 4.0 * math.pi * 4.0**2 * (products / (nm * 1e-3) ** 2).sum() / products.sum()
+    spectrum, per_luminance = spectrum_of_a_sky(4.0)
     row, column, view = 50, 130, seen_at(20.0)
     radiance = np.zeros((128, 256, 3))
     radiance[row, column] = 1e3
@@ -227,15 +227,9 @@ def test_a_sky_is_seen_behind_a_picture(square):
 
 
 def test_files_are_read_and_refused(tmp_path, square):
-    import OpenImageIO as oiio  # noqa: N813
-
     given = np.random.default_rng(7).random((8, 16, 3)).astype(np.float32)
-    spec = oiio.ImageSpec(16, 8, 3, "float")
     for name, pixels in {"sky.exr": given, "dark.exr": 0.0 * given, "nan.exr": given * math.nan}.items():
-        output = oiio.ImageOutput.create(str(tmp_path / name))
-        output.open(str(tmp_path / name), spec)
-        output.write_image(pixels)
-        output.close()
+        write_image(tmp_path / name, pixels)
     assert np.array_equal(wd.Environment.load(tmp_path / "sky.exr").radiance_rgb, given)
     with pytest.raises(ValueError, match=r"dark\.exr' must have a component above 0"):
         wd.Environment.load(tmp_path / "dark.exr")
@@ -284,11 +278,7 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=640)
     options = UNDER | {"ior": 1.5, "smooth": False}
     found = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
-    nm = np.arange(380.0, 781.0)
-    d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
-    spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
-    products = colorimetry.colour_products("D65")[:, 1]
-    per_luminance = 4.0 * math.pi * 8.0**2 * (products / (nm * 1e-3) ** 2).sum() / products.sum()
+    spectrum, per_luminance = spectrum_of_a_sky(8.0)
     lamps = [
         wd.DirectionalLight(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
         for towards, radiance, share in zip(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from conftest import relative_errors
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
@@ -21,11 +22,6 @@ from warpdiff.render.shade import warn_unconverged
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 SIZE = 24, 18
-
-
-@pytest.fixture(scope="module")
-def fingers():
-    return wd.gratings.fingers(size_um=12.8, seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +84,7 @@ def truth(request, fingers, table):
 def errors(image, exact):
     """Those of pixels inside, relative as the tolerance is."""
     xyz, _, inside = exact
-    size = np.maximum(np.linalg.norm(xyz, axis=2), 1e-3 * np.percentile(xyz[inside][:, 1], 99.0))
-    return (np.linalg.norm(image.xyz - xyz, axis=2) / size)[inside]
+    return relative_errors(image.xyz[inside], xyz[inside])
 
 
 def test_pictures_keep_their_tolerance(truth, fingers, table):

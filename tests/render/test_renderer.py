@@ -39,11 +39,6 @@ def rotated(angle):
 
 
 @pytest.fixture(scope="module")
-def fingers():
-    return wd.gratings.fingers(size_um=12.8, seed=4)
-
-
-@pytest.fixture(scope="module")
 def tube():
     return meshes.tube(segments_along=48, segments_around=32)
 

@@ -39,11 +39,6 @@ needs_llvm = pytest.mark.skipif(not LLVM, reason="no LLVM of 17 or newer: name o
 
 
 @pytest.fixture(scope="module")
-def fingers():
-    return wd.gratings.fingers(size_um=12.8, seed=4)
-
-
-@pytest.fixture(scope="module")
 def spectrum_file(fingers, tmp_path_factory):
     return wd.bake_spectrum(fingers, coherence=WINDOW, size=1024).save(
         tmp_path_factory.mktemp("baked") / "spectrum.npz"
