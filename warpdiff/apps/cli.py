@@ -18,18 +18,18 @@ import time
 import traceback
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 import numpy as np
 
 import warpdiff as wd
-from warpdiff.apps.cli_options import Flags, given, integer, number, word
+from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, given, integer, number, word
 from warpdiff.core import disk_cache, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming, spelled
 from warpdiff.image.image import check_target
 from warpdiff.optics.coherence import Coherence
-from warpdiff.optics.materials import check_reflection
+from warpdiff.optics.materials import Metal, check_reflection
 from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ _BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
-METAL_SYMBOLS = ("Al", "Ag", "Au", "Cr", "Cu", "Ni")
+METAL_SYMBOLS = get_args(Metal)
 _MOST_PORT = 65_535
 # Errors of the file system that concern a path of the user; a full disk is a failure.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
@@ -65,15 +65,9 @@ _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(_BODIES)}, with parameters of warpdiff.meshes as in "
     "snake:tangent=along"
 )
-# Methods of a height field, with the flags that call them and the argument that a flag gives.
-_CLEANING = {
-    "cropped": ("--crop-um", "size_um"), "levelled": ("--level", "order"), "despiked": ("--despike", None),
-    "filled": ("--fill", None), "periodic": ("--periodic", None),
-}  # fmt: skip
-_COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
 # The command line's words for arguments that no flag is made from.
 _WORDS = {
-    **{f"{method}()": flag for method, (flag, _) in _CLEANING.items()},
+    **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
     "light": "--light", "to_light": "--light", "illuminant": "--illuminant", "coherence": "--coherence",
     "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
@@ -223,7 +217,7 @@ def _add_export_html(flags: Flags) -> None:
     _add_height_field(flags, default="fingers")
     group = flags.group("lobes")
     flags.add(group, describe(wd.bake), only=("delta_e", "strict", "device", "threads"))
-    flags.add(group, describe(Coherence), only=("kind", "sigma_um", "angular_diameter_deg"), names=_COHERENCE_FLAGS)
+    flags.add(group, describe(Coherence), only=("kind", "sigma_um", "angular_diameter_deg"), names=COHERENCE_FLAGS)
     _add_material(group)
     _add_illuminant(group)
     group = flags.group("page")
@@ -290,7 +284,7 @@ def _add_height_field(flags: Flags, *, default: str | None = None, several: bool
 def _add_evaluation(flags: Flags, settings: type) -> None:
     group = flags.group("evaluation")
     flags.add(group, describe(settings))
-    flags.add(group, describe(Coherence), names=_COHERENCE_FLAGS)
+    flags.add(group, describe(Coherence), names=COHERENCE_FLAGS)
     if settings is not EvaluationSettings:
         flags.add(group, describe(settings), only=("tangents",))
     _add_material(group)
@@ -377,14 +371,12 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
 
 def _value(text: str) -> Any:
     """Return a number, several numbers joined by ``x``, or the text itself."""
-    parts = text.split("x") if re.fullmatch(r"[-+\d.e]+(x[-+\d.e]+)+", text) else [text]
-    numbers: list[Any] = []
-    for part in parts:
-        for kind in (int, float, str):
-            with contextlib.suppress(ValueError):
-                numbers.append(kind(part))
-                break
-    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+    if re.fullmatch(r"[-+\d.e]+(x[-+\d.e]+)+", text):
+        return tuple(map(_value, text.split("x")))
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
 
 
 def _height_field(options: argparse.Namespace) -> wd.HeightField:
@@ -410,7 +402,7 @@ def _scan(path: str, options: argparse.Namespace) -> wd.HeightField:
 def _cleaning(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str, Any], ...]]]:
     """Return the methods of a height field that flags call, in their order, with their arguments."""
     result: list[tuple[str, tuple[tuple[str, Any], ...]]] = []
-    for method, (flag, argument) in _CLEANING.items():
+    for method, (flag, argument) in CLEANING.items():
         value = getattr(options, flag.removeprefix("--").replace("-", "_"))
         if value not in (None, False):
             result.append((method, () if argument is None else ((argument, value),)))

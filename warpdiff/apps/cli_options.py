@@ -39,6 +39,13 @@ _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "c
 
 # Arrays of which the command line takes three numbers.
 VECTORS = ("tangents", "background")
+# Flags of a coherence that are not the argument's name with dashes.
+COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
+# Methods of a height field, with the flags that call them and the argument that a flag gives.
+CLEANING = {
+    "cropped": ("--crop-um", "size_um"), "levelled": ("--level", "order"), "despiked": ("--despike", None),
+    "filled": ("--fill", None), "periodic": ("--periodic", None),
+}  # fmt: skip
 
 
 class Flags:
@@ -151,12 +158,7 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:
     """Write an argument as the command line does: ``--tolerance``, or ``--method auto``."""
-    first, rest = name, ""
-    for index, character in enumerate(name):
-        if character in "[.":
-            first, rest = name[:index], name[index:]
-            break
-    last = rest.rpartition(".")[2]
+    first, last = re.split(r"[\[.]", name, maxsplit=1)[0], name.rpartition(".")[2]
     flag = words.get(name) or words.get(last) or words.get(first, first)
     if value is None:
         return flag

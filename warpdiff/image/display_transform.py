@@ -33,29 +33,23 @@ SCENE = "CIE XYZ-D65 - Scene-referred"
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
 
 # CSS Color 4: primaries of Display P3 and D65.
-_XYZ_TO_P3 = np.array(
-    [
-        [446124 / 178915, -333277 / 357830, -72051 / 178915],
-        [-14852 / 17905, 63121 / 35810, 423 / 17905],
-        [11844 / 330415, -50337 / 660830, 316169 / 330415],
-    ]
-)
+_XYZ_TO_P3 = np.array([
+    [446124 / 178915, -333277 / 357830, -72051 / 178915],
+    [-14852 / 17905, 63121 / 35810, 423 / 17905],
+    [11844 / 330415, -50337 / 660830, 316169 / 330415],
+])  # fmt: skip
 _P3_TO_XYZ = np.linalg.inv(_XYZ_TO_P3)
 # OKLab of XYZ: cube roots of cones' responses, then sums and differences.
-_XYZ_TO_CONES = np.array(
-    [
-        [0.8189330101, 0.3618667424, -0.1288597137],
-        [0.0329845436, 0.9293118715, 0.0361456387],
-        [0.0482003018, 0.2643662691, 0.6338517070],
-    ]
-)
-_ROOTS_TO_LAB = np.array(
-    [
-        [0.2104542553, 0.7936177850, -0.0040720468],
-        [1.9779984951, -2.4285922050, 0.4505937099],
-        [0.0259040371, 0.7827717662, -0.8086757660],
-    ]
-)
+_XYZ_TO_CONES = np.array([
+    [0.8189330101, 0.3618667424, -0.1288597137],
+    [0.0329845436, 0.9293118715, 0.0361456387],
+    [0.0482003018, 0.2643662691, 0.6338517070],
+])  # fmt: skip
+_ROOTS_TO_LAB = np.array([
+    [0.2104542553, 0.7936177850, -0.0040720468],
+    [1.9779984951, -2.4285922050, 0.4505937099],
+    [0.0259040371, 0.7827717662, -0.8086757660],
+])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
 
 # Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest

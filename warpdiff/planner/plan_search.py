@@ -121,11 +121,8 @@ def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, aff
         needed: Whether the finest is to be tried, however little it promises.
         affordable: Multiply-adds that making one may take.
     """
-    target = (
-        plan.tolerance
-        / SEARCH_SAFETY
-        * (1.0 if footprint or trial.bright[1] >= _ENOUGH_BRIGHT else _TABLE_SHARE_BY_FEW)
-    )
+    table_share = 1.0 if footprint or trial.bright[1] >= _ENOUGH_BRIGHT else _TABLE_SHARE_BY_FEW
+    target = plan.tolerance / SEARCH_SAFETY * table_share
     if plan.coherence.kind == "source":
         # What surrounds the mirror direction is sampled.
         plan = dataclasses.replace(plan, least_weight=trial.reference.least_weight)

@@ -43,16 +43,13 @@ _SCOPE = {
 # Fields by what they are.
 _REQUEST = ("method", "coherence", "tolerance", "footprint")
 _NUMBERS = (
-    *("terms", "least_weight", "wavelengths", "subdivisions", "bandwidth_um", "adaptive"),
-    *("rings_per_octave", "azimuths_per_width", "w_basis_size"),
-)
+    "terms", "least_weight", "wavelengths", "subdivisions", "bandwidth_um", "adaptive", "rings_per_octave",
+    "azimuths_per_width", "w_basis_size",
+)  # fmt: skip
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
-    *(
-        "light_sample_count", "refined_share", "unconverged_share", "unconverged_edge_share", "errors", "energy_spread",
-        "aliasing", "scalar_error",
-    ),
-    *("multiply_adds", "table_multiply_adds", "is_measured", "validation_size"),
+    "light_sample_count", "refined_share", "unconverged_share", "unconverged_edge_share", "errors", "energy_spread",
+    "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds", "is_measured", "validation_size",
 )  # fmt: skip
 
 
@@ -266,9 +263,9 @@ class Plan:
         if self.method == "direct":
             sums = f"Direct sum over the height samples in float64, {self.coherence}"
             return f"{sums}: exact up to the integral over λ. {self._scalar}"
-        how = (
-            f"measured on {self.validation_size} validation directions" if self.is_measured else "typical of its bounds"
-        )
+        how = "typical of its bounds"
+        if self.is_measured:
+            how = f"measured on {self.validation_size} validation directions"
         start = (
             f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, for |(u, v)| up to "
             f"{self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}. Predicted error {self.error:.1e}, {how}: "

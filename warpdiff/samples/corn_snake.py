@@ -27,19 +27,15 @@ Tangent = Literal["around", "along"]
 # Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
 # centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
-_HEAD = np.array(
-    [
-        [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
-        [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
-    ]
-)  # fmt: skip
-_BODY = np.array(
-    [
-        [0.02, 0.55, 0.46, 0.39, 2.2], [0.06, 0.56, 0.52, 0.42, 2.2], [0.20, 0.80, 0.78, 0.60, 2.3],
-        [0.40, 1.00, 0.96, 0.72, 2.4], [0.60, 0.98, 0.94, 0.70, 2.4], [0.78, 0.72, 0.68, 0.54, 2.3],
-        [0.90, 0.38, 0.36, 0.30, 2.1], [1.00, 0.06, 0.06, 0.06, 2.0],
-    ]
-)  # fmt: skip
+_HEAD = np.array([
+    [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
+    [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
+])  # fmt: skip
+_BODY = np.array([
+    [0.02, 0.55, 0.46, 0.39, 2.2], [0.06, 0.56, 0.52, 0.42, 2.2], [0.20, 0.80, 0.78, 0.60, 2.3],
+    [0.40, 1.00, 0.96, 0.72, 2.4], [0.60, 0.98, 0.94, 0.70, 2.4], [0.78, 0.72, 0.68, 0.54, 2.3],
+    [0.90, 0.38, 0.36, 0.30, 2.1], [1.00, 0.06, 0.06, 0.06, 2.0],
+])  # fmt: skip
 # On the head, (share of its length, share of the way around from the middle of the back): middles of the shields of one
 # side, from the rostral to the gulars, as they are on colubrids; the eyes; the slit of the mouth.
 _SHIELDS = np.array(

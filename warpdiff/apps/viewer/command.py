@@ -18,15 +18,9 @@ if TYPE_CHECKING:
 
 
 def run(
-    files: NamedFiles,
-    *,
-    host: str,
-    port: int,
-    opens_browser: bool,
-    say: Callable[[str], None],
-    device: Any = None,
+    files: NamedFiles, *, host: str, port: int, opens_browser: bool, say: Callable[[str], None], device: Any = None,
     threads: int | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Serve the viewer until it is interrupted.
 
     Args:

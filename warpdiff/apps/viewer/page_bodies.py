@@ -75,16 +75,9 @@ class LocalDirections(NamedTuple):
 
 
 def local_directions(
-    surface: Surface,
-    view: wd.View,
-    light: wd.DirectionalLight | wd.PointLight,
-    column: int,
-    row: int,
-    *,
-    smooth: bool,
-    device: wp.Device,
-    threads: int,
-) -> LocalDirections | None:
+    surface: Surface, view: wd.View, light: wd.DirectionalLight | wd.PointLight, column: int, row: int, *, smooth: bool,
+    device: wp.Device, threads: int,
+) -> LocalDirections | None:  # fmt: skip
     """Return the directions where the ray through a pixel's centre hits a body; None if it misses."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)

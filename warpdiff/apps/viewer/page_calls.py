@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warpdiff as wd
+from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS
 from warpdiff.apps.viewer.controls import AXES, LONG_BODIES, METALS, arguments, controls
 from warpdiff.core import forks
 from warpdiff.core.options import REQUIRED, describe
@@ -29,12 +30,6 @@ _MOVING_DIRECTIONS = 128
 # Digits of a direction in lines of code; further digits change no picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
-# Flags that are not the argument's name with dashes: of the coherence, and of the methods that clean a height field.
-_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
-_CLEANING = {
-    "cropped": "--crop-um", "levelled": "--level", "despiked": "--despike", "filled": "--fill",
-    "periodic": "--periodic",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -278,7 +273,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Yield options as words of the command line; a call stands for its operand, or for its options."""
     for name, value in options.items():
-        flag = _FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
+        flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):
             yield from (flag, *value.operands) if value.operands else _flags(dict(value.options))
         else:
@@ -297,7 +292,7 @@ def _named(call: Call | Path) -> str:
 def _height_field_words(call: Call) -> list[str]:
     cleaning: list[str] = []
     while call.receiver is not None:
-        cleaning[:0] = [_CLEANING[call.function], *(str(value) for _, value in call.options)]
+        cleaning[:0] = [CLEANING[call.function][0], *(str(value) for _, value in call.options)]
         call = call.receiver
     if call.function == "HeightField.load":
         return [call.operands[0], *_flags(dict(call.options)), *cleaning]
