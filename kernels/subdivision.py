@@ -263,9 +263,8 @@ class FilteredSums:
     has_unlit_quadrant: wp.array(dtype=wp.uint8)
     has_edge: wp.array(dtype=wp.bool)
     ranks: wp.array(dtype=wp.int32)
-    filter_normalisation: wp.array2d(
-        dtype=wp.float32
-    )  # by level, what the filter has in each of three pixels over the weights'
+    # By level, what the filter has in each of three pixels over the weights'.
+    filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
 @wp.func
