@@ -1,9 +1,9 @@
 """Peers: other programs that compute the same, for comparisons of speed and accuracy.
 
-Shading, all of scattering vectors (u, v, w) and gains like ``numba_published.shade``:
+Shading, all of scattering vectors (u, v, w) and gains:
 
 - ``numpy_peer``: the published algorithm in plain vectorised NumPy.
-- ``numba_peer``: the same in Numba; importing it requires Numba.
+- ``numba_published``: the same in Numba; importing it requires Numba.
 - ``drjit_peer``: the same in Dr.Jit, compiled by LLVM.
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
 

@@ -1,9 +1,9 @@
-"""The published algorithm in Numba, the baseline of comparisons.
+"""The published algorithm in Numba, the baseline of comparisons; importing this module requires Numba.
 
 The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
 to 780 nm, the Taylor sum of a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle rule.
 
-What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to period cache lines, so
+What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to whole cache lines, so
 that sums over terms are SIMD loops of a fixed length without stores. A wavelength's basis (2πκa)ⁿ/n! is a row of a
 table times powers of w taken once a direction. Where the neighbours lie and where their separable Gaussians begin is
 found for all wavelengths at once; within the square weights go by recurrence. Amplitudes are weighted and summed before
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -24,124 +23,65 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-import warpdiff as wd
-from warpdiff.diffraction import fourier_coefficients
-from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.optics import colorimetry
-from warpdiff.tables.coefficient_table import falloff_um2
+from bench.peers import series
+from bench.peers.series import PUBLISHED
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
+
+    import warpdiff as wd
+
+__all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
 # Floats of a cache line, which is also what a register of AVX-512 holds.
 LANES = 16
-# What the block of coefficients leaves room for.
-MOST_REACH = 4
 # Where float32's exponential ends.
 LEAST_EXPONENT = -87.0
 # Directions that share scratch memory, and are one thread's.
 SLICE = 16
 # Wavelengths by which a coefficient is asked for before its use.
 AHEAD = 4
+# Its squares begin at 3 × 3.
+SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"] > 0]
 
 
-@dataclass(frozen=True, eq=False)
-class Tables:
-    """What depends on the height field and the series alone.
-
-    Attributes:
-        rows: Real and imaginary parts of iⁿ DFT{gⁿ}, shape (my·mx, 2, lanes), every row on a cache line's border.
-        block: Which coefficients these are.
-        lengths_um: Coefficients per unit of frequency (y, x) [µm].
-        scale_um: The 2πa [µm] of the basis (2πκa)ⁿ/n!.
-        terms: Terms of the series without padding.
-        frequency: Largest |(u, v)|/λ [1/µm] that the coefficients suffice for.
-    """
-
-    rows: NDArray[np.float32]
-    block: fourier_coefficients.Block
-    lengths_um: tuple[float, float]
-    scale_um: float
-    terms: int
-    frequency: float
+def available() -> str | None:
+    """None: importing this module requires Numba."""
+    return None
 
 
-def tables(heightfield: wd.HeightField, *, terms: int, centred: bool, frequency: float) -> Tables:
-    """Transform a height field, once for all settings with this series.
+def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
+    """Return a function that shades directions: ``shade(scattering_vectors, gains, threads)`` to XYZ (n, 3)."""
+    made = series.series(heightfield, coherence, **setting)
+    across, along = map(np.float32, made.falloff)
+    if -max(across, along) * (made.neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
+        raise ValueError(f"the window's Gaussian ends in float32 before {made.neighbour_extent} neighbours")
+    rows = _lines(heightfield, setting["terms"], setting["centred"])
+    factors = _aligned((len(made.factors), rows.shape[2]))
+    factors[:, : setting["terms"]] = made.factors
+    kernel = _kernel(rows.shape[2], made.neighbour_extent, made.powers)
 
-    Args:
-        heightfield: The height field.
-        terms: Terms of the Taylor series, n = 0 … terms − 1.
-        centred: Whether heights count from the middle of their range; otherwise from the lowest.
-        frequency: Largest |(u, v)|/λ [1/µm] to be shaded, at 380 nm.
+    def shade(scattering_vectors: NDArray[np.float64], gains: NDArray[np.float64], threads: int) -> NDArray[np.float32]:
+        numba.set_num_threads(threads)
+        xyz = np.empty((len(scattering_vectors), 3), dtype=np.float32)
+        kernel(
+            rows, made.columns, *made.origin, *np.float32(made.lengths_um), across, along, factors, made.wavenumbers,
+            made.colours, np.float32(made.shift), np.float64(scattering_vectors), np.float32(gains), xyz,
+        )  # fmt: skip
+        return xyz
 
-    Returns:
-        The tables.
-    """
-    grid = fourier_coefficients.patch_grid(heightfield)
-    block = fourier_coefficients.Block.covering(grid, frequency, (MOST_REACH + 1,) * 2)
-    if any(count == period for count, period in zip(block.count, block.shape, strict=True)):
-        raise ValueError(f"{heightfield!r} is too coarse for {frequency:.3g} /µm: coefficients are not repeated here")
-    expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
-    series = fourier_coefficients.series_coefficients(
-        heightfield, expansion, terms, block, threads=numba.get_num_threads(), dtype=np.complex64
-    )
-    # A centred window lies at the patch's centre; powers do not see this phase.
-    s, r = block.orders()
-    turns = s[:, None] * (heightfield.shape[0] // 2 / heightfield.shape[0]) + r * (
-        heightfield.shape[1] // 2 / heightfield.shape[1]
-    )
-    series *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
-    rows = _aligned((block.count[0] * block.count[1], 2, LANES * math.ceil(terms / LANES)))
-    rows[:, 0, :terms] = series.real.reshape(-1, terms)
-    rows[:, 1, :terms] = series.imag.reshape(-1, terms)
-    scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
-    return Tables(rows, block, grid.lengths_um, scale, terms, frequency)
+    return shade
 
 
-def shade(
-    tables: Tables,
-    scattering_vectors: NDArray[np.float64],
-    gains: NDArray[np.float32],
-    *,
-    wavelengths: int,
-    neighbour_extent: int,
-    rounded: bool,
-    powers: bool,
-) -> NDArray[np.float32]:
-    """Shade directions under the default window, σ = 16.25 µm.
-
-    Args:
-        tables: Those of the height field.
-        scattering_vectors: (u, v, w) of each direction, shape (n, 3).
-        gains: Factors of the colours, shape (n,).
-        wavelengths: Number of wavelengths.
-        neighbour_extent: Neighbours on either side of the nearest coefficient: 1 is 3 × 3.
-        rounded: Whether the nearest coefficient is found by rounding instead of floor().
-        powers: Whether coefficients add as powers (the averaged form) or as amplitudes (the published one).
-
-    Returns:
-        CIE XYZ, shape (n, 3).
-    """
-    if not 1 <= neighbour_extent <= MOST_REACH:
-        raise ValueError(f"neighbour_extent must be 1 to {MOST_REACH}, got {neighbour_extent}")
-    most = tables.frequency * colorimetry.LAMBDA_MIN_NM * 1e-3
-    if np.max(scattering_vectors[:, 0] ** 2 + scattering_vectors[:, 1] ** 2, initial=0.0) > most * most * (1.0 + 1e-9):
-        raise ValueError(f"scattering vectors must have |(u, v)| of at most {most:.4g}, for which the tables are made")
-    lanes = tables.rows.shape[2]
-    factors, wavenumbers, weights = _wavelengths(wavelengths, tables.scale_um, tables.terms, lanes)
-    falloff = falloff_um2(wd.Coherence("averaged" if powers else "centred"))
-    across, along = (np.float32(falloff / length**2) for length in tables.lengths_um)
-    if -max(across, along) * (neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
-        raise ValueError(f"neighbour_extent is {neighbour_extent}, but the window's Gaussian ends before it in float32")
-    xyz = np.empty((len(scattering_vectors), 3), dtype=np.float32)
-    _kernel(lanes, neighbour_extent, powers)(
-        tables.rows, tables.block.count[1], *tables.block.origin, *np.float32(tables.lengths_um),
-        across, along, factors, wavenumbers, weights,
-        np.float32(0.5 if rounded else 0.0),
-        np.asarray(scattering_vectors, dtype=np.float64), np.asarray(gains, dtype=np.float32), xyz,
-    )  # fmt: skip
-    return xyz
+@functools.lru_cache(maxsize=4)
+def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
+    """Rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
+    rows = series.rows_of(heightfield, terms, centred)[0]
+    lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
+    lines[:, :, :terms] = rows
+    return lines
 
 
 def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -150,19 +90,6 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
     memory = np.zeros(count + LANES, dtype=np.float32)
     first = -memory.ctypes.data // 4 % LANES
     return memory[first : first + count].reshape(shape)
-
-
-@functools.cache
-def _wavelengths(count: int, scale_um: float, terms: int, lanes: int) -> tuple[Any, Any, Any]:
-    """Factors (2πa/λ)ⁿ/n! (count, lanes), wavenumbers 1/λ [1/µm] (count,) and colour weights (count, 3)."""
-    wavelengths = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)
-    wavenumbers = 1e3 / wavelengths
-    factors = _aligned((count, lanes))
-    factors[:, :terms] = EXPANSIONS["taylor"].basis(scale_um * wavenumbers, terms)
-    products = colorimetry.colour_products()
-    grid = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, len(products))
-    colours = np.stack([np.interp(wavelengths, grid, products[:, c]) for c in range(3)], axis=1)
-    return factors, wavenumbers.astype(np.float32), (colours / colours[:, 1].sum()).astype(np.float32)
 
 
 @numba.extending.intrinsic

@@ -71,15 +71,9 @@ class Series:
 
 
 def series(
-    heightfield: wd.HeightField,
-    coherence: wd.Coherence,
-    *,
-    wavelengths: int,
-    terms: int,
-    neighbour_extent: int,
-    rounded: bool,
-    centred: bool,
-) -> Series:
+    heightfield: wd.HeightField, coherence: wd.Coherence, *,
+    wavelengths: int, terms: int, neighbour_extent: int, rounded: bool, centred: bool,
+) -> Series:  # fmt: skip
     """Transform a height field for one setting.
 
     Args:
@@ -98,7 +92,7 @@ def series(
         raise ValueError(f"coherence must be a window, 'averaged' or 'centred', got {coherence.kind!r}")
     if not 0 <= neighbour_extent <= MOST_REACH:
         raise ValueError(f"neighbour_extent must be 0 to {MOST_REACH}, got {neighbour_extent}")
-    rows, block, lengths, scale = _rows(heightfield, terms, centred)
+    rows, block, lengths, scale = rows_of(heightfield, terms, centred)
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, wavelengths)
     products = colorimetry.colour_products()
     grid = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, len(products))
@@ -114,24 +108,20 @@ def series(
 
 
 @functools.lru_cache(maxsize=3)
-def _rows(
+def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
     """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
     if any(count == period for count, period in zip(block.count, block.shape, strict=True)):
-        raise ValueError(
-            f"heightfield must be finer, got {heightfield!r}: coefficients are not repeated here; use "
-            "heightfield.resampled()"
-        )
+        raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
     # A centred window lies at the patch's centre; powers do not see this phase.
     s, r = block.orders()
-    turns = s[:, None] * (heightfield.shape[0] // 2 / heightfield.shape[0]) + r * (
-        heightfield.shape[1] // 2 / heightfield.shape[1]
-    )
+    ny, nx = heightfield.shape
+    turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)
     made *= np.exp(-2j * math.pi * turns)[:, :, None].astype(np.complex64)
     rows = np.stack([made.real, made.imag], axis=2).reshape(-1, 2, terms)
     return rows, block, grid.lengths_um, 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]

@@ -8,6 +8,7 @@ is timed separately, without compilation.
 
 from __future__ import annotations
 
+import importlib
 import time
 from typing import TYPE_CHECKING, Any, cast
 
@@ -41,8 +42,8 @@ METHODS = {
     "averaged": ("low-rank, table", "low-rank", "power", "jacobi-anger", "taylor"),
     "centred": ("low-rank, table", "low-rank", "jacobi-anger", "taylor"),
     "source": ("low-rank, table", "low-rank", "jacobi-anger"),
-    "replicas": ("low-rank", "jacobi-anger", "taylor"),
 }
+PEERS = {"drjit_peer": "Dr.Jit", "numpy_peer": "NumPy", "numba_published": "Numba"}
 STYLES = {
     AUTOMATIC: (figures.BLACK, "*", "automatic"), "low-rank, table": (figures.BLUE, "o", "low-rank, table"),
     "low-rank": (figures.SKY, "o", "low-rank, sampled"), "power": (figures.GREEN, "o", "power, sampled"),
@@ -81,30 +82,22 @@ def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, dev
 
 def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
     """Return the peers that can run and support a kind of coherence, with their settings."""
-    from bench.peers import drjit_peer, numpy_peer, stam_analytic
-
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
-    if coherence.kind not in ("averaged", "centred"):
-        return result
-    for name, peer in (("Dr.Jit", drjit_peer), ("NumPy", numpy_peer)):
-        if (reason := peer.available()) is None:
-            # Plain NumPy takes a hundred times as long, so only two of its settings are measured.
-            settings = peer.SETTINGS if name != "NumPy" else [peer.SETTINGS[2], peer.SETTINGS[-2]]
-            result[name] = peer, [peer.PUBLISHED, *settings]
-        else:
+    names = ["drjit_peer", "numpy_peer", "numba_published"] if coherence.kind in ("averaged", "centred") else []
+    for name in names + ["stam_analytic"] * (coherence.kind == "averaged"):
+        try:
+            peer = importlib.import_module(f"bench.peers.{name}")
+            reason = peer.available()
+        except ImportError as error:
+            reason = str(error)
+        if reason is not None:
             print(f"{name} is excluded: {reason}.")
-    try:
-        from bench.peers import numba_peer
-    except ImportError:
-        print("Numba is excluded: it is not installed.")
-    else:
-        result["Numba"] = numba_peer, [numba_peer.PUBLISHED, *numba_peer.SETTINGS]
-    if coherence.kind == "averaged":
-        if (reason := stam_analytic.available()) is None:
-            result["Stam, rainbow"] = stam_analytic, [{"colours": "rainbow"}]
-            result["Stam, CIE"] = stam_analytic, [{"colours": "cie"}]
+        elif name == "stam_analytic":
+            result |= {"Stam, rainbow": (peer, peer.SETTINGS[:1]), "Stam, CIE": (peer, peer.SETTINGS[1:])}
         else:
-            print(f"Stam's shader is excluded: {reason}.")
+            # Plain NumPy takes a hundred times as long, so only two of its settings are measured.
+            settings = [peer.SETTINGS[2], peer.SETTINGS[-2]] if name == "numpy_peer" else peer.SETTINGS
+            result[PEERS[name]] = peer, [peer.PUBLISHED, *settings]
     return result
 
 
@@ -256,7 +249,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
             colour, marker, title = STYLES[method]
             top = method == AUTOMATIC
             # The published setting is a separate point, not a part of a peer's curve.
-            begin = 1 if method in ("Numba", "Dr.Jit", "NumPy") else 0
+            begin = int(method in PEERS.values())
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
             x, spread = us[order, 0], np.abs(us[order, 1:] - us[order, :1]).T

@@ -114,9 +114,6 @@ def scenes(data: Path | None) -> list[Scene]:
         # As long as the scan; in a shorter patch the window would cover the same pits twice.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
-    def blazed() -> wd.HeightField:
-        return wd.gratings.blazed(2.5, 0.25)
-
     measured = inputs.scan(data)
     result = [
         Scene(
@@ -124,10 +121,6 @@ def scenes(data: Path | None) -> list[Scene]:
             coherences=(averaged,) if measured else (averaged, centred, source),
         ),
         Scene("disc", "compact disc, 64 µm", disc, **on_disc, coherences=(averaged,)),
-        Scene(
-            "blazed", "blazed grating, 2.5 µm, 10 periods", blazed, **on_disc,
-            coherences=(wd.Coherence("replicas", periods=(1, 10)),),
-        ),
     ]  # fmt: skip
     if measured:
         skin = functools.partial(measured.levelled, order=2)
