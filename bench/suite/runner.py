@@ -27,7 +27,7 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
-    "embreex", "gratinglab", "meent",
+    "embreex", "gratinglab",
 )  # fmt: skip
 # A figure has changed if it did by more than the spread of the rounds of both runs, and by more than this share.
 LEAST_CHANGE = 0.1
