@@ -307,6 +307,7 @@ def write_files(folder: Path) -> None:
     """Write the files that legal arguments name."""
     np.save(folder / "a.npy", WAVY.heights_um)
     np.save(folder / "integers.npy", np.arange(96, dtype=np.uint8).reshape(8, 12))
+    np.save(folder / "gaps.npy", [[0.0, math.nan]])
     sky = oiio.ImageOutput.create(str(folder / "sky.exr"))
     sky.open(str(folder / "sky.exr"), oiio.ImageSpec(4, 2, 3, "float"))
     sky.write_image(np.ones((2, 4, 3), np.float32))

@@ -24,7 +24,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, given, integer, number, word
-from warpdiff.core import disk_cache, validation
+from warpdiff.core import disk_cache, files, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming, spelled
 from warpdiff.image.image import check_target
@@ -100,16 +100,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except BrokenPipeError:
             # The reader of the output has closed it.
             return 1
-        except (ValueError, TypeError, *_BAD_PATHS) as error:
-            if options.debug:
-                traceback.print_exc()
-            say(f" {options.command}: ", error)
-            return 2
         except Exception as error:
             if options.debug:
                 traceback.print_exc()
-            say(f" {options.command}: failed: {type(error).__name__}: ", error)
-            return 1
+            is_bad_input = isinstance(error, (ValueError, TypeError, *_BAD_PATHS))
+            say(f" {options.command}: {'' if is_bad_input else f'failed: {type(error).__name__}: '}", error)
+            return 2 if is_bad_input else 1
     return 0
 
 
@@ -355,14 +351,17 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
     """Call a function with parameters ``name=value,…`` over defaults."""
     known = [name for name in inspect.signature(function).parameters if name != "_"]
     values = {}
-    for parameter in filter(None, parameters.split(",")):
-        name, equals, value = parameter.partition("=")
+    for assignment in filter(None, parameters.split(",")):
+        name, equals, value = assignment.partition("=")
         if not equals or name not in known:
             raise ArgumentValueError(
                 f"{ref(flag)} {text!r} must have parameters name=value, of "
                 f"{', '.join(known)}{did_you_mean(name, known)}"
             )
         values[name] = _illuminant(value) if name == "illuminant" else _value(value)
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.default is parameter.empty and parameter.name not in defaults | values:
+            raise ArgumentValueError(f"{ref(flag)} {text!r} requires the parameter {parameter.name}")
     try:
         return function(**defaults | values)
     except (TypeError, ValueError) as error:
@@ -449,7 +448,7 @@ def _named_material(name: str, option: str) -> wd.Material:
     """Return a metal, a dielectric of a constant index, or the material of a file."""
     if name in METAL_SYMBOLS:
         return wd.Material.metal(name)  # type: ignore[arg-type]
-    with renaming({"path": f"--{option}", "index": f"--{option}", "ior": f"--{option}"}):
+    with renaming({"path": f"--{option}", "n": f"--{option}"}):
         try:
             index = float(name)
         except ValueError:
@@ -552,9 +551,7 @@ def _render(options: argparse.Namespace) -> None:
 def _check_output(options: argparse.Namespace) -> None:
     """Refuse a file that cannot be written, before minutes are spent on it."""
     check_target(options.output, "--output")
-    described = describe(wd.Image.save)
-    for name, value in given(options, described).items():
-        described[name].check(value)
+    given(options, describe(wd.Image.save))
     if "background" in options:
         if Path(options.output).suffix.lower() != ".png":
             raise ArgumentValueError(f"--background is for .png files, got --output {options.output}")
@@ -572,6 +569,7 @@ def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.f
 def _sequence(options: argparse.Namespace) -> None:
     if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
         raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
+    saving = given(options, describe(wd.sequence))
     mesh, heightfield, view = _scene(options)
     lights = _lights(options, view)
     count = 36 if options.count is None else options.count
@@ -589,10 +587,7 @@ def _sequence(options: argparse.Namespace) -> None:
             from distributed import Client
 
             client = stack.enter_context(Client(options.scheduler))
-        paths = wd.sequence(
-            renderer, shots, options.output, **given(options, describe(wd.sequence)), client=client,
-            progress=_progress(),
-        )  # fmt: skip
+        paths = wd.sequence(renderer, shots, options.output, **saving, client=client, progress=_progress())
     print(renderer.plan)
     print(f"{len(paths)} frames in {Path(options.output).resolve()}")
     if "animation" in options:
@@ -603,11 +598,12 @@ def _export_html(options: argparse.Namespace) -> None:
     target = validation.path(options.output, "path")
     if target.suffix.lower() not in (".html", ".htm"):
         raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {options.output!r}")
+    files.check_folder(target.parent, "path")
+    page = given(options, describe(wd.export_html))
     mesh, heightfield, view = _scene(options)
     baking = given(options, describe(wd.bake)) | {"coherence": _coherence(options), "material": _material(options)}
     baking["illuminant"] = _illuminant(options.illuminant)
     lobes = wd.bake(heightfield, **baking, progress=_progress())
-    page = given(options, describe(wd.export_html))
     path = wd.export_html(target, mesh, lobes, _lights(options, view), view, **page)
     print(lobes)
     print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -650,8 +646,10 @@ def _view(options: argparse.Namespace) -> None:
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ArgumentValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
-    files = {"mesh": options.mesh, "heightfield": options.heightfield, "--environment": options.environment}
-    for name, paths in files.items():
+    device = given(options, {name: describe(EvaluationSettings)[name] for name in ("device", "threads")})
+    loading = given(options, describe(wd.HeightField.load))
+    inputs = {"mesh": options.mesh, "heightfield": options.heightfield, "--environment": options.environment}
+    for name, paths in inputs.items():
         for path in paths:
             if not validation.path(path, name).is_file():
                 raise marked(FileNotFoundError, f"{ref(name)}: there is no file {path!r}")
@@ -661,14 +659,12 @@ def _view(options: argparse.Namespace) -> None:
     for path in options.environment:
         with renaming({"path": "--environment"}):
             wd.Environment.load(path)
-    loading = given(options, describe(wd.HeightField.load))
     named = NamedFiles(
         tuple(map(Path, options.mesh)), tuple(map(Path, options.heightfield)), tuple(map(Path, options.environment)),
         tuple(loading.items()), tuple(_cleaning(options)),
     )  # fmt: skip
     run(
-        named, host=options.host, port=options.port, opens_browser=not options.no_browser,
-        **given(options, {name: describe(EvaluationSettings)[name] for name in ("device", "threads")}),
+        named, host=options.host, port=options.port, opens_browser=not options.no_browser, **device,
         say=functools.partial(print, flush=True),
     )  # fmt: skip
 
@@ -722,7 +718,9 @@ _COMMANDS = {
         "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
         "  warpdiff sequence snake --heightfield fingers --path camera.csv -o flight",
         _add_sequence, _sequence,
-        _WORDS | {"path": "--path", "folder": "--output", "count": "--count", "to_light": "--light-to"},
+        _WORDS | {
+            "path": "--path", "folder": "--output", "count": "--count", "turns": "--turns", "to_light": "--light-to",
+        },
     ),
     "brdf": _Command(
         "map the reflectance over all view directions, seen from above",

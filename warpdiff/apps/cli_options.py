@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core.options import REQUIRED
@@ -141,7 +142,7 @@ def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
 
 
 def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: str = "") -> dict[str, Any]:
-    """Return the arguments that flags gave, by name, in Python's types."""
+    """Return the arguments that flags gave, by name, in Python's types; raise an error that names a wrong one."""
     values = vars(options)
     result = {}
     for option in described.values():
@@ -152,7 +153,8 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
                 if len(value) > 2:
                     raise ArgumentValueError(f"{ref(key)} must be one number or two, got {len(value)}")
                 value = value[0] if len(value) == 1 else tuple(value)
-            result[option.name] = tuple(value) if isinstance(value, list) else value
+            value = tuple(value) if isinstance(value, list) else value
+            result[option.name] = replace(option, name=key).check(value)
     return result
 
 
