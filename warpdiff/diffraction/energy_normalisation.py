@@ -191,11 +191,8 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
 
 def _cache_key(heightfield: HeightField) -> tuple[object, ...]:
     """What factors depend on; a hash of the heights, which may be large."""
-    return (
-        hashlib.sha256(np.ascontiguousarray(heightfield.heights_um).data).digest(),
-        heightfield.shape,
-        heightfield.pitch_um,
-    )
+    digest = hashlib.sha256(np.ascontiguousarray(heightfield.heights_um).data).digest()
+    return digest, heightfield.shape, heightfield.pitch_um
 
 
 def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
