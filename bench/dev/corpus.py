@@ -630,35 +630,24 @@ def sequences(threads: int) -> Values:
 
 
 CASES: dict[str, Case] = {
-    "refined picture": tube_picture(),
-    "picture to 1e-1": tube_picture(tolerance=1e-1),
+    "refined picture": tube_picture(), "picture to 1e-1": tube_picture(tolerance=1e-1),
     "footprints alone": tube_picture(tolerance=1e-1, refine=False),
-    "four subpixel cells": tube_picture(tolerance=1e-1, samples_per_pixel=4),
-    "points": tube_picture(footprint=False),
+    "four subpixel cells": tube_picture(tolerance=1e-1, samples_per_pixel=4), "points": tube_picture(footprint=False),
     "sixteen points per pixel": tube_picture(footprint=False, samples_per_pixel=16),
     "centred window": tube_picture(coherence=wd.Coherence("centred"), view=tube_view(**SMALL)),
-    "source": tube_picture(tolerance=1e-1, coherence=SOURCE),
-    "periods": periods_picture,
-    "direct sum": direct_picture,
+    "source": tube_picture(tolerance=1e-1, coherence=SOURCE), "periods": periods_picture, "direct sum": direct_picture,
     **{f"{method}, sampled": sampled_picture(method) for method in SAMPLED_METHODS},
     "table of powers": tube_picture(method="power", integration="table", tolerance=1e-1),
     "sampled footprints": tube_picture(
         method="low-rank", integration="sampled", view=tube_view(**SMALL), tolerance=1e-1
     ),
-    "snake": snake_picture,
-    "box": box_picture,
-    "explicit tangents": explicit_tangents,
-    "renderer": successive_pictures,
+    "snake": snake_picture, "box": box_picture, "explicit tangents": explicit_tangents, "renderer": successive_pictures,
     "few directions": direction_colours(50, wd.Coherence()),
     "many directions": direction_colours(40_000, wd.Coherence(), illuminant="FL2", tolerance=3e-2),
-    "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2),
-    "spectra": spectra,
-    "maps": maps,
-    "surfaces": surfaces,
+    "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2), "spectra": spectra,
+    "maps": maps, "surfaces": surfaces,
     # Added with version 0.2.
-    "explicit plan": explicit_plan,
-    "previews": previews,
-    "resized renderer": resized_renderer,
+    "explicit plan": explicit_plan, "previews": previews, "resized renderer": resized_renderer,
     "point light": point_light,
     "disc light": tube_picture(
         wd.DirectionalLight((0.1, 0.9, 1.2), angular_diameter_deg=3.0), tolerance=1e-1, view=tube_view(**MEDIUM)
@@ -669,26 +658,17 @@ CASES: dict[str, Case] = {
     "disc light, unrefined": tube_picture(
         wd.DirectionalLight((0.1, 0.9, 1.2), angular_diameter_deg=3.0), tolerance=1e-1, refine=False
     ),
-    "sky": sky_picture(with_sun=False),
-    "sky with a sun": sky_picture(with_sun=True, refine=False),
+    "sky": sky_picture(with_sun=False), "sky with a sun": sky_picture(with_sun=True, refine=False),
     "sky from a file": loaded_sky,
     "metal": tube_picture(
         wd.DirectionalLight((0.1, 0.9, 1.2), illuminant=wd.Spectrum.daylight(6000.0)), tolerance=1e-1,
         material=wd.Material.metal("Au"),
     ),
-    "materials by geometry": materials_by_geometry,
-    "material colours": material_colours,
+    "materials by geometry": materials_by_geometry, "material colours": material_colours,
     "normalised energy, picture": tube_picture(energy="normalised", tolerance=1e-1, view=tube_view(**MEDIUM)),
-    "normalised energy, directions": normalised_energy,
-    "orders": orders,
-    "periods of a field": repeats,
-    "height files": height_files,
-    "mesh files": mesh_files,
-    "saved pictures": saved_pictures,
-    "baked lobes": baked_lobes,
-    "baked spectrum": baked_spectrum,
-    "pages": pages,
-    "sequences": sequences,
+    "normalised energy, directions": normalised_energy, "orders": orders, "periods of a field": repeats,
+    "height files": height_files, "mesh files": mesh_files, "saved pictures": saved_pictures,
+    "baked lobes": baked_lobes, "baked spectrum": baked_spectrum, "pages": pages, "sequences": sequences,
 }  # fmt: skip
 
 

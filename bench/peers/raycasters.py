@@ -1,8 +1,8 @@
 """Camera rays of a picture by Mitsuba 3, Embree and warpdiff: rays per second, hits and normals.
 
-All trace the same mesh, in the units of a prepared surface, along the same rays. What they find goes from the bare hit
-(face and barycentric coordinates) to the shading frame; a row says which. Mitsuba's LLVM variant traces by Embree as
-well, in packets; embreex hands Embree one ray after the other and releases the interpreter's lock, so that slices of
+All trace the same mesh, in the units of a prepared surface, along the same rays. They find the bare hit (face and
+barycentric coordinates), warpdiff face by face the whole G-buffer. Mitsuba's LLVM variant traces by Embree as well, in
+packets; embreex hands Embree one ray after the other and releases the interpreter's lock, so that slices of
 the rays run side by side on threads. The truth is every ray against every triangle, in float64.
 """
 
@@ -53,9 +53,8 @@ class Hits(NamedTuple):
 
 
 class Caster(NamedTuple):
-    """A way to trace all rays: the kind of result, a function that traces with some threads, and its last hits."""
+    """A way to trace all rays: a function that traces with some threads, and its last hits."""
 
-    finds: str
     trace: Callable[[int], None]
     hits: Callable[[], Hits]
 
@@ -91,12 +90,10 @@ def rays_of(mesh: Any, view: wd.View) -> Rays:
 
 def casters(rays: Rays) -> dict[str, Caster]:
     """Return the casters that can run, by name."""
-    result = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, rays": _warp_cast(rays, covers=False)}
-    result["warpdiff, face by face"] = _warp_cast(rays, covers=True)
+    result = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, face by face": _faces(rays)}
     absent = " ".join(missing())
     if "Mitsuba" not in absent:
-        result["Mitsuba 3, bare hits"] = _mitsuba(rays, bare=True)
-        result["Mitsuba 3, rays"] = _mitsuba(rays, bare=False)
+        result["Mitsuba 3, bare hits"] = _mitsuba(rays)
     if "Embree is" not in absent:
         result["Embree, bare hits"] = _embree(rays)
     return result
@@ -123,14 +120,10 @@ def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]
 @wp.kernel
 def query(
     # In:
-    mesh_id: wp.uint64,
-    origins: wp.array(dtype=wp.vec3f),
-    directions: wp.array(dtype=wp.vec3f),
-    first: wp.int32,
+    mesh_id: wp.uint64, origins: wp.array(dtype=wp.vec3f), directions: wp.array(dtype=wp.vec3f), first: wp.int32,
     # Out:
-    face_out: wp.array(dtype=wp.int32),
-    bary_out: wp.array(dtype=wp.vec2f),
-):
+    face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
+):  # fmt: skip
     """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
     i = first + wp.tid()
     hit = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
@@ -154,11 +147,11 @@ def _warp_query(rays: Rays) -> Caster:
         face, (b0, b1) = hits_out[0].numpy(), hits_out[1].numpy().T
         return Hits(face >= 0, _interpolated(rays.surface, face, np.stack([b0, b1, 1.0 - b0 - b1], axis=1)))
 
-    return Caster("face, position", trace, hits)
+    return Caster(trace, hits)
 
 
-def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
-    frame = Picture(rays.surface, rays.view, device_driven=not covers, device=resolve_device(None), threads=1)
+def _faces(rays: Rays) -> Caster:
+    frame = Picture(rays.surface, rays.view, device=resolve_device(None), threads=1)
 
     def trace(threads: int) -> None:
         frame.rays.options["threads"] = threads
@@ -169,10 +162,10 @@ def _warp_cast(rays: Rays, *, covers: bool) -> Caster:
         # Where nothing is met, normals are whatever was there.
         return Hits(hit, np.where(hit[:, None], frame.gbuffer.pixels.normal.numpy(), 0.0).astype(np.float64))
 
-    return Caster("G-buffer", trace, hits)
+    return Caster(trace, hits)
 
 
-def _mitsuba(rays: Rays, *, bare: bool) -> Caster:
+def _mitsuba(rays: Rays) -> Caster:
     import drjit as dr
     import mitsuba as mi
 
@@ -192,20 +185,18 @@ def _mitsuba(rays: Rays, *, bare: bool) -> Caster:
     def trace(threads: int) -> None:
         if dr.thread_count() != threads:
             dr.set_thread_count(threads)
-        last[0] = world.ray_intersect_preliminary(ray) if bare else world.ray_intersect(ray)
+        last[0] = world.ray_intersect_preliminary(ray)
         dr.eval(last[0])
         dr.sync_thread()
 
     def hits() -> Hits:
         hit = last[0].is_valid().numpy()
-        if not bare:
-            return Hits(hit, np.float64(last[0].sh_frame.n.numpy().T))
         # Mitsuba's coordinates are those of the second and third corner.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
         return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
 
-    return Caster("face, position" if bare else "shading frame", trace, hits)
+    return Caster(trace, hits)
 
 
 def _embree(rays: Rays) -> Caster:
@@ -229,4 +220,4 @@ def _embree(rays: Rays) -> Caster:
         face, b1, b2 = (np.concatenate([part[name] for part in last]) for name in ("primID", "u", "v"))
         return Hits(face >= 0, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))
 
-    return Caster("face, position", trace, hits)
+    return Caster(trace, hits)

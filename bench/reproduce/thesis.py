@@ -110,12 +110,9 @@ def periods_at(angles_deg: Floats, wavelengths_nm: Floats) -> Floats:
 
 
 def first_order(
-    reflectance: Callable[[Floats, Floats, Floats], Floats],
-    expected_um: float,
-    *,
-    wavelengths_nm: Floats = WAVELENGTHS,
-    grid_deg: float = GRID_DEG,
-) -> tuple[Floats, Floats, Floats]:
+    reflectance: Callable[[Floats, Floats, Floats], Floats], expected_um: float, *,
+    wavelengths_nm: Floats = WAVELENGTHS, grid_deg: float = GRID_DEG,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
     """Find the brightest first order at each wavelength.
 
     Args:
@@ -331,13 +328,11 @@ def map_gratings(setup: Setup) -> Table:
     fields = {
         "sine, 2 µm, 0.3 deep": (wd.gratings.sinusoidal(2.0, 0.3), LINE),
         "square, 2 µm, 0.12 deep": (wd.gratings.lamellar(2.0, 0.12), LINE),
-        "blazed, 2.5 µm, 0.25 deep": (blazed(), LINE),
-        "bumps, 2 × 1 µm": (wd.gratings.bumps(), LINE),
+        "blazed, 2.5 µm, 0.25 deep": (blazed(), LINE), "bumps, 2 × 1 µm": (wd.gratings.bumps(), LINE),
         "CD": (wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08), AREA),
-        "DVD": (wd.gratings.disc("DVD"), AREA),
-        "fingers": (wd.gratings.fingers(size_um=32.0, pitch_um=0.08), AREA),
+        "DVD": (wd.gratings.disc("DVD"), AREA), "fingers": (wd.gratings.fingers(size_um=32.0, pitch_um=0.08), AREA),
         setup.natural_name: (setup.natural, AREA),
-    }
+    }  # fmt: skip
     tiles = []
     for name, (heightfield, factor) in fields.items():
         xyz = mean_map(setup, heightfield)

@@ -51,7 +51,6 @@ def measure(setting: Setting) -> dict[str, Any]:
         away = np.linalg.norm(side[:, None] * normal[both] - exact.normal[both], axis=1)
         rates = {number: [1e-6 * count / t for t in times[f"{name} | {number}"][:3]] for number in threads}
         results["casters"][name] = {
-            "finds": caster.finds,
             "mrays": {str(number): [rate[0], rate[2], rate[1]] for number, rate in rates.items()},
             "wrong_hits": float(np.mean(hit[sure] != exact.hit[sure])),
             "normal_off": float(away.max()),
@@ -83,12 +82,11 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
         axis.barh(y, rates[:, 0], 0.34, color=colour, xerr=np.abs(rates[:, 1:] - rates[:, :1]).T, ecolor=figures.GREY)
         for at, (rate, _, most) in zip(y, rates, strict=True):
             axis.text(most + 0.4, at, f"{rate:.1f}, {count} thread{'s' * (count != '1')}", va="center", fontsize=8.5)
-    labels = [f"{name}\n({caster['finds']})" for name, caster in casters.items()]
-    axis.set_yticks(range(len(casters)), labels, fontsize=9)
+    axis.set_yticks(range(len(casters)), casters, fontsize=9)
     axis.invert_yaxis()
     axis.set_xlim(right=1.22 * max(caster["mrays"][threads[-1]][2] for caster in casters.values()))
     axis.set_xlabel("million rays per second")
-    axis.set_title(f"{results['rays']:,} rays of a picture, {results['faces']:,} faces; kind of result in brackets")
+    axis.set_title(f"{results['rays']:,} rays of a picture, {results['faces']:,} faces")
     figure.tight_layout()
     figures.save(figure, folder, "rays")
     most = {name: caster["mrays"][threads[-1]][0] for name, caster in casters.items()}

@@ -58,14 +58,9 @@ class Setting:
 
 
 def run(
-    folder: Path,
-    *,
-    quick: bool = False,
-    parts: list[str] | None = None,
-    device: str | None = None,
-    threads: int | None = None,
-    data: Path | None = None,
-) -> Path:
+    folder: Path, *, quick: bool = False, parts: list[str] | None = None, device: str | None = None,
+    threads: int | None = None, data: Path | None = None,
+) -> Path:  # fmt: skip
     """Measure, write ``results.json`` and ``results.csv``, draw, and report.
 
     Args:

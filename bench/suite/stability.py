@@ -33,12 +33,9 @@ AUTOMATIC = "automatic, tolerance 1e-2"
 AUTOMATIC_SOURCE = "automatic, source of 0.53°"
 AUTOMATIC_CENTRED = "automatic, centred window"
 SERIES = {
-    "taylor-uncentred": "Taylor, uncentred",
-    "taylor": "Taylor, centred",
-    "jacobi-anger": "Jacobi–Anger",
-    "power": "power",
-    "low-rank": "low-rank",
-}
+    "taylor-uncentred": "Taylor, uncentred", "taylor": "Taylor, centred", "jacobi-anger": "Jacobi–Anger",
+    "power": "power", "low-rank": "low-rank",
+}  # fmt: skip
 PUBLISHED = "Taylor, 37 terms as published"
 STEPS = {5.0: "fixed steps of 5 nm", 1.0: "fixed steps of 1 nm"}
 FLOOR, ROUNDED = "3 × 3 found by floor", "3 × 3 found by rounding"
@@ -98,13 +95,9 @@ class Points:
         self.add(name, methods.colour_error(xyz, exact))
 
     def fixed_steps(
-        self,
-        heightfield: wd.HeightField,
-        lights: np.ndarray,
-        views: np.ndarray,
-        coherence: wd.Coherence,
+        self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set the errors of wavelengths 5 nm and 1 nm apart."""
         for step, label in STEPS.items():
             xyz = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
@@ -143,11 +136,8 @@ def height_range(which: slice = ALL) -> Panel:
         heightfield = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
         exact = reference.reference_spectral(heightfield, lights, views, WAVELENGTHS_UM, window)
         request = {
-            "heightfield": heightfield,
-            "to_light": lights,
-            "to_view": views,
-            "wavelengths_nm": 1e3 * WAVELENGTHS_UM,
-        }
+            "heightfield": heightfield, "to_light": lights, "to_view": views, "wavelengths_nm": 1e3 * WAVELENGTHS_UM,
+        }  # fmt: skip
         for name, label in SERIES.items():
             singles = methods.best_effort(
                 wd.spectral_reflectance, **request, coherence=window, method=name, tolerance=FINEST
@@ -351,37 +341,24 @@ STYLES: dict[str, dict[str, dict[str, object]]] = {
         AUTOMATIC_SOURCE: {"color": "black", "linewidth": 2.2, "linestyle": DOTTED, "zorder": 9},
     },
     "Series (a)": {
-        SERIES["taylor-uncentred"]: {"color": RED},
-        PUBLISHED: {"color": RED, "linestyle": DOTTED, "linewidth": 1.6},
-        SERIES["taylor"]: {"color": ORANGE},
-        SERIES["jacobi-anger"]: {"color": BLUE},
-        SERIES["power"]: {"color": TEAL},
+        SERIES["taylor-uncentred"]: {"color": RED}, PUBLISHED: {"color": RED, "linestyle": DOTTED, "linewidth": 1.6},
+        SERIES["taylor"]: {"color": ORANGE}, SERIES["jacobi-anger"]: {"color": BLUE}, SERIES["power"]: {"color": TEAL},
         SERIES["low-rank"]: {"color": PURPLE},
     },
     "Wavelengths (b, c, d, e, h)": {
-        STEPS[5.0]: {"color": BROWN},
-        STEPS[1.0]: {"color": SAND},
-        ORDER_WISE: {"color": CYAN},
-        EQUAL: {"color": BROWN, "linewidth": 2.4},
-        EQUAL + SMALL: {"color": BROWN, "linestyle": DOTTED},
-        CUBICS: {"color": BLUE},
-        CUBICS + SMALL: {"color": BLUE, "linestyle": DOTTED},
+        STEPS[5.0]: {"color": BROWN}, STEPS[1.0]: {"color": SAND}, ORDER_WISE: {"color": CYAN},
+        EQUAL: {"color": BROWN, "linewidth": 2.4}, EQUAL + SMALL: {"color": BROWN, "linestyle": DOTTED},
+        CUBICS: {"color": BLUE}, CUBICS + SMALL: {"color": BLUE, "linestyle": DOTTED},
     },
     "Neighbours, geometry (b, c, e, f)": {
-        FLOOR: {"color": GREEN},
-        ROUNDED: {"color": LIME},
-        SINGLE: {"color": PINK},
-        FACING: {"color": CYAN},
-        SAMPLED: {"color": GREY, "linestyle": DASHED, "linewidth": 1.2},
-        RESAMPLED: {"color": BLUE},
+        FLOOR: {"color": GREEN}, ROUNDED: {"color": LIME}, SINGLE: {"color": PINK}, FACING: {"color": CYAN},
+        SAMPLED: {"color": GREY, "linestyle": DASHED, "linewidth": 1.2}, RESAMPLED: {"color": BLUE},
     },
     "Periods (g)": {
-        PQ: {"color": PINK},
-        PQ64: {"color": PINK, "linestyle": DASHED, "linewidth": 1.2},
-        PLAIN: {"color": ROSE},
+        PQ: {"color": PINK}, PQ64: {"color": PINK, "linestyle": DASHED, "linewidth": 1.2}, PLAIN: {"color": ROSE},
         NEAREST: {"color": CYAN},
     },
-}
+}  # fmt: skip
 LEAST, MOST = 1e-9, 30.0
 TINT = "#fbe3e0"
 

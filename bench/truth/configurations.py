@@ -25,12 +25,10 @@ WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
 # Half of the calls have none of these.
 MATERIALS = (
-    None,
-    *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")),
-    wd.Material.dielectric(1.5),
+    None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
     wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0),
-)
+)  # fmt: skip
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
@@ -236,12 +234,10 @@ def a_list(rng, case, most):
         by = np.argsort((lights + views)[:, 0 if order == "sorted by u" else 2], kind="stable")
         lights, views = lights[by], views[by]
     words = {
-        "random": "views anywhere",
-        "mirror": f"views within some {math.degrees(spread):.2g}° of the mirror direction",
-        "orders": "views by orders",
-        "grazing": "views within 15° of the horizon",
+        "random": "views anywhere", "mirror": f"views within some {math.degrees(spread):.2g}° of the mirror direction",
+        "orders": "views by orders", "grazing": "views within 15° of the horizon",
         "mixed": f"views anywhere, grazing, by orders and within some {math.degrees(spread):.2g}° of the mirror",
-    }
+    }  # fmt: skip
     words = f"{count} directions, {'one light' if one else 'a light a view'}, {words[way]}, {order}"
     return case._replace(to_light=lights, to_view=views, words=words)
 

@@ -199,18 +199,9 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
 
 
 def windowed_powers(
-    heightfield,
-    lights,
-    views,
-    wavelengths_um,
-    *,
-    sigma,
-    method="exact",
-    terms=None,
-    dtype=np.float64,
-    neighbour_extent=None,
-    floor=False,
-):
+    heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
+    neighbour_extent=None, floor=False,
+):  # fmt: skip
     """⟨|P|²⟩ under averaged windows, shape (n, m).
 
     Args:

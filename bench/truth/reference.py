@@ -413,14 +413,9 @@ def reference_reflectance(
     result = np.zeros((len(gains), 3))
     illuminated = gains > 0.0
     xyz = colours(
-        heightfield,
-        -(to_light + to_view)[illuminated],
-        to_light[illuminated],
-        step,
-        tolerance=tolerance,
-        illuminant=illuminant,
-        material=material,
-    )
+        heightfield, -(to_light + to_view)[illuminated], to_light[illuminated], step, tolerance=tolerance,
+        illuminant=illuminant, material=material,
+    )  # fmt: skip
     result[illuminated] = gains[illuminated, None] * xyz
     return result
 
