@@ -53,6 +53,13 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     row_w_t = wp.types.vector(length=3 * w_basis_size + 1, dtype=wp.float32)
 
     @wp.func
+    def row_at(table: Colours, level: wp.int32, azimuth: wp.int32, ring: wp.int32) -> row_t:
+        """A level's row of a ring at an azimuth."""
+        octave = ring // table.rings_per_octave
+        first = table.first_rows[level, octave] + azimuth * table.rings_per_octave
+        return table.rows[first + ring - octave * table.rings_per_octave]
+
+    @wp.func
     def ring_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
         """The place among the rings of (u, v)."""
         size = wp.max(wp.sqrt(u * u + v * v), table.least_uv)
@@ -121,13 +128,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             azimuth = wp.int32(wp.rint(position))
             azimuth_weights = colour_lookup.spline(position - wp.float32(azimuth))
             for j in range(3):
-                row = (
-                    table.first_rows[0, octave]
-                    + (azimuth - 1 + j) * table.rings_per_octave
-                    + ring
-                    - octave * table.rings_per_octave
-                )
-                row_sum += ring_weights[m] * azimuth_weights[j] * table.rows[row]
+                row_sum += ring_weights[m] * azimuth_weights[j] * row_at(table, 0, azimuth - 1 + j, ring)
         return colour_of(table, row_sum, w)
 
     @wp.func
@@ -168,8 +169,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         result = row_t()
         for j in range(count):
             at = colour_lookup.cyclic(azimuth + j, azimuths)
-            row = table.first_rows[level, octave] + at * table.rings_per_octave + ring - octave * table.rings_per_octave
-            result += taps.weights[step, fraction, j] * table.rows[row]
+            result += taps.weights[step, fraction, j] * row_at(table, level, at, ring)
         return result
 
     @wp.func
@@ -189,15 +189,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         deviation = wp.sqrt(variance)
         turn_per_ring = both * table.rings_per_log / variance
         aside2 = wp.max(angle2 - turn_per_ring * both * table.rings_per_log, 0.0)
-        skew = (
-            -0.5
-            * ratio2
-            * ratio2
-            * table.rings_per_log
-            * table.rings_per_log
-            * table.rings_per_log
-            / (variance * deviation)
-        )
+        per_log = table.rings_per_log
+        skew = -0.5 * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation)
 
         octaves = table.azimuths.shape[1]
         spacing = table.blurs[1, wp.clamp(wp.int32(place * table.octaves_per_ring), 0, octaves - 1)]
@@ -269,12 +262,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             if exponent < cutoff * cutoff:
                 weight = wp.exp(-0.5 * (exponent + slope * slope * blur2 / left)) / wp.sqrt(left)
                 weight *= radius * radius * spacing
-                row = table.rows[
-                    table.first_rows[level, octave]
-                    + azimuth * table.rings_per_octave
-                    + ring
-                    - octave * table.rings_per_octave
-                ]
+                row = row_at(table, level, azimuth, ring)
                 for k in range(wp.static(3 * w_basis_size)):
                     result[k] += weight * row[k]
                 result[wp.static(3 * w_basis_size)] += weight

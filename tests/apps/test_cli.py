@@ -18,14 +18,18 @@ from warpdiff.core import disk_cache
 from warpdiff.core.options import describe
 from warpdiff.request.settings import SinglePictureSettings
 
+BRDF = "brdf --heightfield blazed -o x.png"
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
+
+
+def run(line, *more):
+    """The exit code of a command line, whose words contain no spaces, and of more words, which may."""
+    return cli.main([*line.split(), *map(str, more)])
 
 
 def test_render_writes_a_picture(tmp_path, capsys):
     target = tmp_path / "disc.exr"
-    assert cli.main([
-        "render", "disc", "--heightfield", "blazed", *SMALL, "--width", "24", "--height", "16", "-o", str(target),
-    ]) == 0  # fmt: skip
+    assert run("render disc --heightfield blazed --width 24 --height 16", *SMALL, "-o", target) == 0
     spec = oiio.ImageInput.open(str(target)).spec()
     assert (spec.width, spec.height) == (24, 16)
     out = capsys.readouterr().out
@@ -37,12 +41,8 @@ def test_render_of_files(tmp_path, fuze_path):
     heights = tmp_path / "h.npy"
     np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
     target = tmp_path / "fuze.png"
-    arguments = [
-        "render", str(fuze_path), "--heightfield", str(heights), "--pitch-um", "0.05", *SMALL, "--width", "20",
-        "--height", "30",
-    ]  # fmt: skip
-    more = ["--up", "0", "0", "1", "--light", "1", "1", "1", "--light", "-1", "1", "1", "--no-shadows", "--no-smooth"]
-    assert cli.main([*arguments, *more, "-o", str(target)]) == 0
+    line = "render --pitch-um 0.05 --width 20 --height 30 --up 0 0 1 --light 1 1 1 --light -1 1 1 --no-shadows"
+    assert run(line, "--no-smooth", fuze_path, "--heightfield", heights, *SMALL, "-o", target) == 0
     pixels = oiio.ImageBuf(str(target)).get_pixels(oiio.FLOAT)
     assert 0.05 < pixels[..., 3].mean() < 0.9
 
@@ -51,19 +51,15 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     polar, azimuth = (np.arange(8) + 0.5) / 8, (np.arange(16) + 0.5) / 16
     radiance = np.stack([*np.broadcast_arrays(polar[:, None], azimuth, 1.0 - polar[:, None])], axis=-1)
     write_image(tmp_path / "sky.exr", radiance.astype(np.float32))
-    size = {"width": 16, "height": 12}
-    short = ["--tolerance", "0.5", "--sigma-um", "1"]
-    command = [
-        "render", "disc", "--heightfield", "blazed", *short, "--width", "16", "--height", "12", "--eye", "0", "1", "3",
-    ]  # fmt: skip
-    command += ["--target", "0", "0", "0", "--light", "point:position=1x2x1,power=3", "--no-refine"]
-    command += ["--environment", str(tmp_path / "sky.exr"), "--environment-rotation-deg", "40"]
-    command += ["--environment-scale", "2", "--environment-directions", "16"]
-    assert cli.main([*command, "-o", str(tmp_path / "under.exr")]) == 0
-    assert cli.main([*command, "--environment-behind", "-o", str(tmp_path / "under.png")]) == 0
+    line = "render disc --heightfield blazed --tolerance 0.5 --sigma-um 1 --width 16 --height 12 --eye 0 1 3"
+    line += " --target 0 0 0 --light point:position=1x2x1,power=3 --no-refine --environment-rotation-deg 40"
+    line += " --environment-scale 2 --environment-directions 16"
+    sky_file = ["--environment", tmp_path / "sky.exr"]
+    assert run(line, *sky_file, "-o", tmp_path / "under.exr") == 0
+    assert run(line, *sky_file, "--environment-behind", "-o", tmp_path / "under.png") == 0
     found = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
     sky = wd.Environment(radiance, rotation_deg=40.0, scale=2.0, directions=16)
-    view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, **size)
+    view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, width=16, height=12)
     lights = [wd.PointLight((1, 2, 1), power=3.0), sky]
     exact = wd.shade(
         wd.meshes.disc(), wd.gratings.blazed(2.0, 0.25), lights, view, coherence=wd.Coherence(sigma_um=1.0),
@@ -76,38 +72,33 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path, capsys):
     assert np.abs(shown - same).max() < 0.01
     capsys.readouterr()
     wrong = {
-        "--environment: there is no file": ["--environment", "none.exr"],
-        "--environment-directions must be an integer, at least 16": ["--environment-directions", "3"],
-        "--environment-behind is for .png": ["--environment-behind"],
+        "--environment: there is no file": [*sky_file, "--environment", "none.exr"],
+        "--environment-directions must be an integer, at least 16": [*sky_file, "--environment-directions", "3"],
+        "--environment-behind is for .png": [*sky_file, "--environment-behind"],
     }
     for said, options in wrong.items():
-        assert cli.main([*command, *options, "-o", str(tmp_path / "no.exr")]) == 2
+        assert run(line, *options, "-o", tmp_path / "no.exr") == 2
         assert said in capsys.readouterr().err
-    assert cli.main([
-        "render", "disc", "--heightfield", "blazed", "--environment-scale", "2", "-o", str(tmp_path / "no.exr"),
-    ]) == 2  # fmt: skip
+    assert run("render disc --heightfield blazed --environment-scale 2 -o", tmp_path / "no.exr") == 2
     assert "--environment-scale requires --environment" in capsys.readouterr().err
 
 
 def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
     folder, film = tmp_path / "turn", tmp_path / "turn.webp"
-    command = [
-        "sequence", "disc:segments=16,rings=1", "--heightfield", "blazed:period_um=2.5,depth_um=0.2", *SMALL, "--width",
-        "24",
-    ]  # fmt: skip
-    command += ["--height", "16", "--count", "3", "-o", str(folder)]
-    assert cli.main([*command, "--animation", str(film)]) == 0
+    line = "sequence disc:segments=16,rings=1 --heightfield blazed:period_um=2.5,depth_um=0.2 --width 24 --height 16"
+    command = [*SMALL, "--count", 3, "-o", folder]
+    assert run(line, *command, "--animation", film) == 0
     frames = {path: path.read_bytes() for path in folder.glob("frame_*.png")}
     assert len(frames) == 3
     assert film.is_file()
     assert "3 frames in" in capsys.readouterr().out
     last = sorted(frames)[-1]
     last.unlink()
-    assert cli.main(command) == 0
+    assert run(line, *command) == 0
     assert {path: path.read_bytes() for path in folder.glob("frame_*.png")} == frames
-    assert cli.main([*command, "--lights-stay"]) == 2
+    assert run(line, *command, "--lights-stay") == 2
     assert "another sequence" in capsys.readouterr().err
-    assert cli.main([*command, "--light-to", "0", "1", "1", "--overwrite"]) == 0
+    assert run(line, *command, "--light-to", 0, 1, 1, "--overwrite") == 0
 
 
 @pytest.mark.parametrize(
@@ -133,8 +124,8 @@ def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
 
 def test_brdf_writes_a_map(tmp_path):
     target = tmp_path / "map.png"
-    arguments = ["brdf", "--heightfield", "sinusoidal:period_um=1.5,depth_um=0.1", "--incidence-deg", "20", *SMALL]
-    assert cli.main([*arguments, "--size", "32", "-o", str(target)]) == 0
+    line = "brdf --heightfield sinusoidal:period_um=1.5,depth_um=0.1 --incidence-deg 20 --size 32"
+    assert run(line, *SMALL, "-o", target) == 0
     assert oiio.ImageInput.open(str(target)).spec().width == 32
 
 
@@ -147,8 +138,7 @@ def test_brdf_writes_a_map(tmp_path):
      (["--method", "power"], "Chebyshev series of the powers")],
 )  # fmt: skip
 def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
-    arguments = ["brdf", "--heightfield", "blazed", "--tolerance", "0.1", "--size", "6", *options]
-    assert cli.main([*arguments, "-o", str(tmp_path / "map.exr")]) == 0
+    assert run("brdf --heightfield blazed --tolerance 0.1 --size 6", *options, "-o", tmp_path / "map.exr") == 0
     assert said in capsys.readouterr().out
 
 
@@ -165,51 +155,43 @@ def test_info_describes_each_grating(name, monkeypatch, capsys):
 
 
 def test_info_of_the_scan(scan_path, capsys):
-    arguments = [
-        "info", "--heightfield", str(scan_path), "--extent-um", "65", "--height-range-um", "0.375", "--crop-um", "20",
-    ]  # fmt: skip
-    assert cli.main([*arguments, "--level", "2", "--despike", "--periodic"]) == 0
+    line = "info --extent-um 65 --height-range-um 0.375 --crop-um 20 --level 2 --despike --periodic --heightfield"
+    assert run(line, scan_path) == 0
     assert "410 × 410 samples" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["info", "--heightfield", "nothing.png"], "there is no file 'nothing.png'"),
-     (["info", "--heightfield", "blazed:period_um=-1"], "--heightfield 'blazed:period_um=-1': period_um must"),
-     (["info", "--heightfield", "blazed", "--tolerance", "7"], "tolerance"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "laser"],
-      "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "replicas"],
-      "--periods must be given for --coherence replicas"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--periods", "1", "2"],
-      "--periods is for --coherence replicas, not 'averaged'"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--sigma-um", "5"],
-      "--sigma-um is for"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "source", "--source-diameter-deg", "0"],
-      "--source-diameter-deg must be"),
-     (["brdf", "--heightfield", "blazed", "-o", "x.png", "--coherence", "centred", "--method", "power"],
-      "--method power expands powers"),
-     (["brdf", "--heightfield", "blazed", "-o", "map.jpg"], "--output must end in .exr or .png"),
-     (["brdf", "--heightfield", "blazed", "-o", "no/such/folder/map.png"], "does not exist"),
-     (["brdf", "--heightfield", "blazed", "--incidence-deg", "90", "-o", "map.png"], "--incidence-deg must"),
-     (["render", "nothing.obj", "--heightfield", "blazed", "-o", "x.png"], "MESH file 'nothing.obj' does not exist"),
-     (["render", "tube", "--heightfield", "blazed", "--width", "0", "-o", "x.png"], "--width must"),
-     (["render", "tube", "--heightfield", "blazed", "--light", "0", "0", "0", "-o", "x.png"], "--light must"),
-     (["render", "tube", "--heightfield", "blazed", "--device", "tpu", "-o", "x.png"], "--device must"),
-     (["info", "--heightfield", "blazed", "--crop-um", "900"], "--crop-um along x must"),
-     (["demo", "--data", "no/such/folder"], "does not exist"),
-     (["demo", "--scale", "0"], "--scale must"),
-     (["demo", "--display", "film"], "--display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
-     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--display", "film"], "--display must be one of"),
-     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--gamut", "film"],
-      "--gamut must be one of 'srgb', 'display-p3'"),
-     (["brdf", "--heightfield", "nothing", "-o", "x.png", "--background", "1", "2", "0"], "--background must be"),
-     (["brdf", "--heightfield", "nothing", "-o", "x.exr", "--background", "1", "1", "0"],
-      "--background is for .png files")],
-)  # fmt: skip
+    [
+        ("info --heightfield nothing.png", "there is no file 'nothing.png'"),
+        ("info --heightfield blazed:period_um=-1", "--heightfield 'blazed:period_um=-1': period_um must"),
+        ("info --heightfield blazed --tolerance 7", "tolerance"),
+        (f"{BRDF} --coherence laser", "--coherence must be one of 'averaged', 'centred', 'source', 'replicas'"),
+        (f"{BRDF} --coherence replicas", "--periods must be given for --coherence replicas"),
+        (f"{BRDF} --periods 1 2", "--periods is for --coherence replicas, not 'averaged'"),
+        (f"{BRDF} --coherence source --sigma-um 5", "--sigma-um is for"),
+        (f"{BRDF} --coherence source --source-diameter-deg 0", "--source-diameter-deg must be"),
+        (f"{BRDF} --coherence centred --method power", "--method power expands powers"),
+        ("brdf --heightfield blazed -o map.jpg", "--output must end in .exr or .png"),
+        ("brdf --heightfield blazed -o no/such/folder/map.png", "does not exist"),
+        ("brdf --heightfield blazed --incidence-deg 90 -o map.png", "--incidence-deg must"),
+        ("render nothing.obj --heightfield blazed -o x.png", "MESH file 'nothing.obj' does not exist"),
+        ("render tube --heightfield blazed --width 0 -o x.png", "--width must"),
+        ("render tube --heightfield blazed --light 0 0 0 -o x.png", "--light must"),
+        ("render tube --heightfield blazed --device tpu -o x.png", "--device must"),
+        ("info --heightfield blazed --crop-um 900", "--crop-um along x must"),
+        ("demo --data no/such/folder", "does not exist"),
+        ("demo --scale 0", "--scale must"),
+        ("demo --display film", "--display must be one of 'aces', 'colorimetric', 'clip', got 'film'"),
+        ("brdf --heightfield nothing -o x.png --display film", "--display must be one of"),
+        ("brdf --heightfield nothing -o x.png --gamut film", "--gamut must be one of 'srgb', 'display-p3'"),
+        ("brdf --heightfield nothing -o x.png --background 1 2 0", "--background must be"),
+        ("brdf --heightfield nothing -o x.exr --background 1 1 0", "--background is for .png files"),
+    ],
+)
 def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(arguments) == 2
+    assert run(arguments) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -230,8 +212,7 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
     assert "--heightfield must have all samples" in error
     assert "--fill" in error
     assert "--crop-um" in error
-    periodic = ["brdf", "--heightfield", "slope.npy", "--pitch-um", "0.1", "--periodic", *SMALL, "--size", "4"]
-    assert cli.main([*periodic, "-o", "b.exr"]) == 0
+    assert run("brdf --heightfield slope.npy --pitch-um 0.1 --periodic --size 4 -o b.exr", *SMALL) == 0
     assert "warning: --periodic changed heights" in capsys.readouterr().err
     # Words and file names stay what they are.
     assert cli.main(["render", "tube", "--heightfield", "kind of order=1, size_um must.png", "-o", "b.png"]) == 2
@@ -241,15 +222,14 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "arguments",
-    [["brdf", "--heightfield", "blazed", "-o", "map.png"],
-     ["render", "tube", "--heightfield", "blazed", "-o", "tube.exr"], ["demo"]],
-)  # fmt: skip
+    [BRDF, "render tube --heightfield blazed -o tube.exr", "demo"],
+)
 def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # Nothing is denied to root.
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr("warpdiff.device.devices.load", lambda *_: pytest.fail("kernels are loaded"))
-    assert cli.main(arguments) == 2
+    assert run(arguments) == 2
     assert "is not writable; use another one" in capsys.readouterr().err
 
 
@@ -283,12 +263,12 @@ def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
-    arguments = ["brdf", "--heightfield", "blazed", "--size", "4", "-o", str(tmp_path / "map.png")]
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("warpdiff.Image.save", fail)
-    assert cli.main(arguments) == 1
+    assert run(f"{BRDF} --size 4") == 1
     assert "disk full" in capsys.readouterr().err
     monkeypatch.setattr("warpdiff.Image.save", interrupt)
-    assert cli.main(arguments) == 130
+    assert run(f"{BRDF} --size 4") == 130
 
 
 def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
@@ -314,13 +294,11 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
 
 def run_without_home(code, folder, **environment):
     """Run code where a user has no folder."""
-    names = {
-        key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
-    }
-    return subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env=names | {"TMPDIR": str(folder)} | environment,
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    homes = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
+    names = {key: value for key, value in os.environ.items() if key not in homes}
+    names |= {"TMPDIR": str(folder)} | environment
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, cwd=folder, env=names, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")

@@ -100,12 +100,7 @@ def test_missing_samples_move_with_the_others() -> None:
 
 @pytest.mark.parametrize(
     ("call", "error", "message"),
-    [(lambda _: HeightField([1.0, 2.0], 0.1), ValueError, r"heights_um must be a 2-D array, got shape \(2,\)"),
-     (lambda _: HeightField(np.zeros((0, 3)), 0.1), ValueError, "heights_um must have at least one sample"),
-     (lambda _: HeightField([[np.inf]], 0.1), ValueError, "heights_um must be finite"),
-     (lambda _: HeightField("scan.png", 0.1), TypeError, "heights_um must be an array"),
-     (lambda _: HeightField([[0.0]], 0.0), ValueError, "pitch_um must be a finite number, more than 0"),
-     (lambda _: HeightField([[0.0]], (0.1, -0.1)), ValueError, r"pitch_um\[1\] must be a finite number, more than 0"),
+    [(lambda _: HeightField("scan.png", 0.1), TypeError, "heights_um must be an array"),
      (lambda f: f.levelled(-1), ValueError, "order must be an integer, at least 0"),
      (lambda f: f.levelled(1.5), TypeError, "order must be an integer"),
      (lambda f: f.despiked(0.0), ValueError, "threshold must be a finite number, more than 0"),

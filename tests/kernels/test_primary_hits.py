@@ -32,19 +32,16 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     axes = camera_of(view, surface)
     pixels.nearest = wp.full(count, primary_hits.UNSEEN, dtype=wp.uint64, device="cpu")
     sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
-    find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling], [pixels.nearest])
+    find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling])
     if covers:
         neighbour_extent = primary_hits.MOST_OFFSET if samples > 1 else 0.0
-        find = (
-            primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent],
-            [pixels.nearest],
-        )  # fmt: skip
+        find = (primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent])
     launches = [
         (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
-        find,
+        (*find, [pixels.nearest]),
         (primary_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
+        (primary_hits.make_shading_frames, count, [scene.bare, pixels], []),
     ]
-    launches.append((primary_hits.make_shading_frames, count, [scene.bare, pixels], []))
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
@@ -81,33 +78,24 @@ def torn(surface):
     return dataclasses.replace(surface, faces=faces, vertex_colours=colours, **arrays)
 
 
-def a_tube(_request):
-    mesh = meshes.tube(segments_along=40, segments_around=24)
-    return mesh, View((0.5, 1.9, 1.2), (0.1, 0, 0), width=70, height=48)
+# Bodies, and the views that see them; the disc is seen from behind.
+SCENES = {
+    "tube": (meshes.tube(segments_along=40, segments_around=24),
+             View((0.5, 1.9, 1.2), (0.1, 0, 0), width=70, height=48)),
+    "disc": (meshes.disc(segments=48, rings=3), View((0.4, 0.3, -2.2), (0, 0, 0), width=60, height=56)),
+    "sphere": (trimesh.creation.icosphere(subdivisions=2),
+               View((1.5, 2.5, 1.0), (0, 0, 0), fov_y_deg=36, width=60, height=56)),
+    "bottle": (None, View.orthographic((0.3,) * 3, (0, 0, 0.11), up=(0, 0, 1), extent_y=0.25, width=52, height=64)),
+}  # fmt: skip
 
 
-def a_disc(_request):
-    # Seen from behind.
-    return meshes.disc(segments=48, rings=3), View((0.4, 0.3, -2.2), (0, 0, 0), width=60, height=56)
-
-
-def a_sphere(_request):
-    return trimesh.creation.icosphere(subdivisions=2), View(
-        (1.5, 2.5, 1.0), (0, 0, 0), fov_y_deg=36, width=60, height=56
-    )
-
-
-def the_bottle(request):
-    path = request.getfixturevalue("fuze_path")
-    return path, View.orthographic((0.3, 0.3, 0.3), (0, 0, 0.11), up=(0, 0, 1), extent_y=0.25, width=52, height=64)
-
-
-@pytest.mark.parametrize("make", [a_tube, a_disc, a_sphere, the_bottle])
+@pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
-def test_rays_and_frames_equal_brute_force(make, covers, smooth, request):
-    mesh, view = make(request)
-    tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if make is a_sphere else None
+def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
+    mesh, view = SCENES[scene]
+    mesh = mesh or request.getfixturevalue("fuze_path")
+    tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if scene == "sphere" else None
     surface = torn(prepare_surface(mesh, tangents=tangents))
     got = cast(surface, view, smooth=smooth, covers=covers)
 
@@ -203,26 +191,19 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-def within_a_tube(_request):
-    return meshes.tube(segments_along=24, segments_around=12), View(
-        (0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50
-    )
+# Of the plane, two faces reach far behind the eye.
+AROUND_THE_EYE = {
+    "tube": (meshes.tube(segments_along=24, segments_around=12),
+             View((0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50)),
+    "plane": (wall(size=40.0), View((0.3, -0.2, 0.5), (0.9, 4.0, 0.1), up=(0, 0, 1), width=64, height=48)),
+    "sphere": (trimesh.creation.icosphere(subdivisions=3),
+               View.orthographic((0.2, 0.1, 0.3), (0, 0, 0), extent_y=1.6, width=60, height=44)),
+}  # fmt: skip
 
 
-def above_a_plane(_request):
-    # Two faces, which both reach far behind the eye.
-    return wall(size=40.0), View((0.3, -0.2, 0.5), (0.9, 4.0, 0.1), up=(0, 0, 1), width=64, height=48)
-
-
-def through_a_sphere(_request):
-    view = View.orthographic((0.2, 0.1, 0.3), (0, 0, 0), extent_y=1.6, width=60, height=44)
-    return trimesh.creation.icosphere(subdivisions=3), view
-
-
-@pytest.mark.parametrize("make", [within_a_tube, above_a_plane, through_a_sphere])
+@pytest.mark.parametrize(("mesh", "view"), AROUND_THE_EYE.values(), ids=AROUND_THE_EYE)
 @pytest.mark.parametrize("samples", [1, 8])
-def test_what_is_behind_the_eye_is_cut_off(make, samples, request):
-    mesh, view = make(request)
+def test_what_is_behind_the_eye_is_cut_off(mesh, view, samples):
     surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
     scene = SceneArrays(surface, device="cpu")
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
@@ -248,27 +229,22 @@ def test_eyes_close_to_a_face_see_no_gap():
         assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
 
 
-def plates(_request):
-    # Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not.
-    scene = trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])])
-    return scene, View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)
+# Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not; far away
+# faces are a fraction of a pixel.
+CELLS = {
+    "plates": (trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])]),
+               View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)),
+    "far away": (meshes.tube(segments_along=64, segments_around=48),
+                 View((1.0, 4.0, 9.0), (0, 0, 0), width=130, height=96)),
+    "head on": (meshes.disc(segments=24, rings=4),
+                View.orthographic((0.3, 0.2, 3.0), (0, 0, 0), extent_y=1.5, width=64, height=40)),
+}  # fmt: skip
 
 
-def far_away(_request):
-    # Faces are a fraction of a pixel.
-    return meshes.tube(segments_along=64, segments_around=48), View((1.0, 4.0, 9.0), (0, 0, 0), width=130, height=96)
-
-
-def head_on(_request):
-    view = View.orthographic((0.3, 0.2, 3.0), (0, 0, 0), extent_y=1.5, width=64, height=40)
-    return meshes.disc(segments=24, rings=4), view
-
-
-@pytest.mark.parametrize("make", [plates, far_away, head_on])
+@pytest.mark.parametrize(("mesh", "view"), CELLS.values(), ids=CELLS)
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 @pytest.mark.parametrize("slices", [1, 7])
-def test_cells_are_found_face_by_face(make, level, slices, request):
-    mesh, view = make(request)
+def test_cells_are_found_face_by_face(mesh, view, level, slices):
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
     # Pixels anywhere, at the picture's border and beside the mesh, too, in any order.
@@ -382,9 +358,8 @@ def test_shading_normals_are_tilted_to_a_hundredth():
     mesh = wall(size=2.0)
     # Normals that lean away from a viewer far to the right, and straight away from one above.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
-        surface = dataclasses.replace(
-            prepare_surface(mesh), normals=np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
-        )
+        normals = np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
+        surface = dataclasses.replace(prepare_surface(mesh), normals=normals)
         got = cast(surface, View(eye, (0, 0, 0), up=(0, 0, 1), fov_y_deg=5, width=16, height=4))
         hit = got["hit"] == 1
         cosine = np.sum(got["normal"] * got["to_view"], axis=1, dtype=np.float64)[hit]

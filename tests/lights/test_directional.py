@@ -17,13 +17,11 @@ def test_the_direction_to_the_light_is_normalised():
 
 @pytest.mark.parametrize(
     ("changed", "error", "message"),
-    [({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero"),
-     ({"to_light": (0, math.inf, 0)}, ValueError, "to_light must be finite"),
+    [({"to_light": (0, math.inf, 0)}, ValueError, "to_light must be finite"),
      ({"to_light": (1, 0)}, ValueError, "to_light must be a vector of 3"),
      ({"to_light": [[0, 0, 1]]}, ValueError, "to_light must be a vector of 3"),
      ({"to_light": None}, TypeError, "to_light must be an array"),
      ({"illuminant": 65}, TypeError, "illuminant must be the name"),
-     ({"power": -1.0}, ValueError, "power must be a finite number, at least 0"),
      ({"power": math.nan}, ValueError, "power must be a finite number, at least 0"),
      ({"power": "bright"}, TypeError, "power must be a number")],
 )  # fmt: skip

@@ -51,9 +51,8 @@ def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
         image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
             chosen = reference.stratified(image.mask, pixels)
-            truth = reference.reference_picture(
-                body, heightfield, [light], view, chosen, coherence.kind, coherence.sigma_um, tolerance=min(tolerances)
-            )
+            given = body, heightfield, [light], view, chosen, coherence.kind, coherence.sigma_um
+            truth = reference.reference_picture(*given, tolerance=min(tolerances))
         sure = ~truth.unsure
         np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
         found.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
@@ -103,9 +102,8 @@ def test_the_illuminant_changes_the_white():
     for name in ("A", "D50"):
         light = wd.DirectionalLight((0, 0, 1), illuminant=name)
         image = wd.shade(whole_disc(), FLAT, light, mirror_view(), footprint=False)
-        np.testing.assert_allclose(
-            image.xyz, np.broadcast_to(reference.products(name).sum(axis=0), image.xyz.shape), rtol=1e-5
-        )
+        white = reference.products(name).sum(axis=0)
+        np.testing.assert_allclose(image.xyz, np.broadcast_to(white, image.xyz.shape), rtol=1e-5)
 
 
 def test_lights_add(snake, fingers):
@@ -149,9 +147,8 @@ def test_both_sides_are_seen(fingers):
     pixels = np.arange(25 * 25)
     body = reference.Body.of(prepare_surface(whole_disc()))
     behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=25, height=25)
-    truth = reference.reference_picture(
-        body, fingers, [wd.DirectionalLight(light * flip)], behind, pixels, "averaged", 3.0, tolerance=1e-2
-    )
+    lights = [wd.DirectionalLight(light * flip)]
+    truth = reference.reference_picture(body, fingers, lights, behind, pixels, "averaged", 3.0, tolerance=1e-2)
     error = reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
     assert error.p99 <= 1e-2
     assert error.below <= 1e-2
@@ -169,10 +166,8 @@ def test_shadows_lie_where_brute_force_says():
     options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
-    surface = prepare_surface(two_discs())
-    truth = reference.reference_picture(
-        reference.Body.of(surface), FLAT, [light], view, np.arange(60 * 45), "averaged", 0.3, tolerance=1e-2
-    )
+    body, pixels = reference.Body.of(prepare_surface(two_discs())), np.arange(60 * 45)
+    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.3, tolerance=1e-2)
     sure, illuminated = (a.reshape(45, 60) for a in (~truth.unsure, truth.illuminated))
     black = shadowed.xyz[..., 1] == 0.0
     np.testing.assert_array_equal(black[sure & shadowed.mask], ~illuminated[sure & shadowed.mask])
@@ -274,12 +269,8 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
     bare, half, whole = (wd.shade(quad, fingers, light, view, pigment=p, **options).xyz for p in (0.0, 0.5, 1.0))
     body = reference.Body.of(prepare_surface(quad), TEXTURE)
-    truth = [
-        reference.reference_picture(
-            body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um, tolerance=1e-3, ior=ior, pigment=p
-        )
-        for p in (0.0, 1.0)
-    ]
+    given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
+    truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
     # In units of the pigment: what a sum in float32 with the diffraction colour loses is the latter's rounding.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
@@ -296,9 +287,7 @@ def test_pigment_is_filtered_with_the_picture():
     quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
     view = mirror_view(6, 1.0)
     light = wd.DirectionalLight((0.5, 0.3, 1.0))
-    one, many = (
-        wd.shade(quad, FLAT, light, view, samples_per_pixel=n, coherence=LONG).xyz.astype(np.float64) for n in (1, 8)
-    )
+    one, many = (wd.shade(quad, FLAT, light, view, samples_per_pixel=n, coherence=LONG).xyz for n in (1, 8))
     assert one.min() > 0.0
     np.testing.assert_allclose(many, one, rtol=1e-5)
 
@@ -344,27 +333,19 @@ def test_the_direct_method_agrees(kind, snake, fingers):
     assert np.percentile(relative_errors(auto.xyz[auto.mask], exact.xyz[auto.mask]), 99.0) <= 1e-2
 
 
-def a_tube(_request):
-    return meshes.tube(segments_along=64, segments_around=32), snake_view(48, 36)
+BODIES = {
+    "tube": (meshes.tube(segments_along=64, segments_around=32), snake_view(48, 36)),
+    "disc": (meshes.disc(segments=64, rings=4), wd.View((0.0, -1.9, 2.3), (0, 0, 0), width=48, height=36)),
+    "ball": (spherical(2), wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=48, height=36)),
+    "bottle": (None, wd.View((0.2, 0.42, 0.2), (0, 0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=36, height=48)),
+}
 
 
-def a_disc(_request):
-    return meshes.disc(segments=64, rings=4), wd.View((0.0, -1.9, 2.3), (0, 0, 0), width=48, height=36)
-
-
-def a_ball(_request):
-    return spherical(2), wd.View((2.0, 1.5, 1.0), (0, 0, 0), width=48, height=36)
-
-
-def the_bottle(request):
-    path = request.getfixturevalue("fuze_path")
-    return path, wd.View((0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=36, height=48)
-
-
-@pytest.mark.parametrize("make", [a_tube, a_disc, a_ball, the_bottle])
-def test_nothing_is_black_nan_or_negative(make, request):
+@pytest.mark.parametrize("name", BODIES)
+def test_nothing_is_black_nan_or_negative(name, request):
     """Where light and eye are above the surface, by the smooth and by the geometric normal, there is a colour."""
-    mesh, view = make(request)
+    mesh, view = BODIES[name]
+    mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
     # A window as short as the fingers leaves no gap between orders that float32 could call zero.
     coherence = wd.Coherence("averaged", 1.2)
@@ -375,9 +356,8 @@ def test_nothing_is_black_nan_or_negative(make, request):
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
     # The same rays and shadows in float64; of a flat field, for the colours do not matter here.
-    truth = reference.reference_picture(
-        reference.Body.of(prepare_surface(mesh)), FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5
-    )
+    body = reference.Body.of(prepare_surface(mesh))
+    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
     above = truth.illuminated & (truth.cos_geometric > 0.0) & ~truth.unsure
     assert np.count_nonzero(above) > 0.3 * len(pixels)

