@@ -1,15 +1,15 @@
 """Colour look-up: kernels of a table that holds the integral over λ for every (u, v) and function of w.
 
-As λ goes from red to blue, (u, v)/λ runs along a spoke of the frequency plane, over one octave. The power spectrum is
-taken on spokes, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
+As λ goes from red to blue, (u, v)/λ runs over one octave of an azimuth of the frequency plane. The power spectrum is
+taken on azimuths, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
 ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's rings, with weights that are the projection of the colour
-curves on the same splines, however many orders the spoke passes. Where |(u, v)| takes the same ratios, these weights
+curves on the same splines, however many orders the azimuth passes. Where |(u, v)| takes the same ratios, these weights
 are the same at every ring, and w comes in through a few functions that all share: the sum is done beforehand, and what
-is left of a colour is a spline between rings and spokes, and a scalar product with the functions at w.
+is left of a colour is a spline between rings and azimuths, and a scalar product with the functions at w.
 
 A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
-at all wavelengths: levels of the table are blurred in angle, with fewer spokes, and in ratio look-ups take more rings.
-A source does the same to the lines of an endless surface.
+at all wavelengths: levels of the table are blurred in angle, with fewer azimuths, and in ratio look-ups take more
+rings. A source does the same to the lines of an endless surface.
 """
 
 import functools
@@ -24,7 +24,7 @@ from warpdiff.kernels.structs import Footprint
 # Loops that stay loops compile faster.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the spokes or rings that a look-up takes at most by the tables of weights; as many spokes are repeated on
+# Half of the azimuths or rings that a look-up takes at most by the tables of weights; as many azimuths are repeated on
 # either side of a turn.
 HALF_TAPS = 7
 # Directions that a thread looks up one after the other on the CPU, at most.
@@ -47,11 +47,11 @@ DEVIATIONS = 3.0
 
 @wp.struct
 class FootprintTaps:
-    """Weights of the spokes, or rings, around a place: the spline between them, blurred by a part of the footprint."""
+    """Weights of the azimuths, or rings, around a place: the spline between them, blurred by part of the footprint."""
 
     weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 HALF_TAPS)
     lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
-    per_variance: wp.float32  # entries per unit of the variance, in distances of spokes squared
+    per_variance: wp.float32  # entries per unit of the variance, in distances of azimuths squared
     parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
 
 
@@ -106,11 +106,11 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y, Z: level after level, octave after octave, spoke after spoke, ring by ring
+        rows: wp.array(dtype=row_t)  # X, Y, Z: level, octave, azimuth and ring, slowest first
         w_basis: wp.array(dtype=w_basis_t)  # at equal steps in |w|
         least_w: wp.float32  # |w| of the first of them
         per_w: wp.float32  # entries per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of spoke 0
+        first_rows: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of azimuth 0
         azimuths: wp.array2d(dtype=wp.int32)  # (levels, octaves), number of azimuth samples
         blurs: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
         rings_per_octave: wp.int32
@@ -142,7 +142,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn.
 
-        Sums over as many spokes on either side as the powers of the spline's pole count.
+        Sums over as many azimuths on either side as the powers of the spline's pole count.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -167,9 +167,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Values on the spokes of a level: a Gaussian around each of another level's coefficients.
+        """Values on the azimuths of a level: a Gaussian around each of another level's coefficients.
 
-        Their spline itself has a variance of a quarter of the distance of spokes, squared.
+        Their spline itself has a variance of a quarter of the distance of azimuths, squared.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave

@@ -50,7 +50,7 @@ def scattering_vectors_run(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Deflections, directions to the light and gains of pixels one after the other, and what of them is summed up."""
+    """Scattering vectors, directions to the light and gains of pixels, and sums of these."""
 
 
 @wp.func
@@ -83,10 +83,10 @@ def scattering_vectors(
 ):  # fmt: skip
     """Deflection, direction to the light and gain of pixels under one of the lights.
 
-    All that meet the mesh have a deflection, and where the light does not come their gain is 0. Its pigment is added to
-    ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked as lit,
-    from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these. ``hidden``
-    says which pixels the light does not reach; empty is none.
+    All that meet the mesh have a scattering vector, and where the light does not come their gain is 0. Its pigment is
+    added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked
+    as lit, from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these.
+    ``occluded`` says which pixels the light does not reach; empty is none.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]

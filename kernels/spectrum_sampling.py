@@ -1,6 +1,6 @@
 """Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
-Spokes are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
+Azimuths are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
 t = |(u, v)|/λ. A colour is a sum over an octave's rings, whose weights are the same wherever |(u, v)| takes the same
 ratios: ``colour_lookup`` has the rest.
 """
@@ -21,7 +21,7 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 @functools.cache
 def resampler(lanes: int, powers: bool, width: int) -> Any:
-    """The kernel that samples the power spectrum of a height field's coefficients on spokes, and the type of its rows.
+    """The kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
 
     Args:
         lanes: Terms of a row of coefficients.
@@ -42,7 +42,7 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrals along a spoke in this direction, in coefficients, from the ring ``begin`` on."""
+        """Integrals along an azimuth in this direction, in coefficients, from the ring ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
@@ -53,9 +53,9 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
         # Out:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrals of the power spectrum along a spoke under the splines of an octave's rings.
+        """Integrals of the power spectrum along an azimuth under the splines of an octave's rings.
 
-        The first ring lies at the logarithm ``log_low`` of the frequency, and the row of spoke 0 at ``start``. The
+        The first ring lies at the logarithm ``log_low`` of the frequency, and the row of azimuth 0 at ``start``. The
         spectrum is sampled ``divisions`` times from ring to ring, up to the frequency ``highest``, without the
         coefficient ``excluded``. Amplitudes are multiplied by ``bases``, term by term.
         """
@@ -75,7 +75,7 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
 
 @functools.cache
 def gatherer(lanes: int) -> Any:
-    """The kernel that gathers coefficients as lines of a spectrum on spokes, and the type of its rows."""
+    """The kernel that gathers coefficients as lines of a spectrum on azimuths, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -87,7 +87,7 @@ def gatherer(lanes: int) -> Any:
         # Out:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Integrals along a spoke, under the splines of its rings, of lines that are blurred in angle.
+        """Integrals along an azimuth, under the splines of its rings, of lines that are blurred in angle.
 
         Args:
             coefficients: Powers.
@@ -95,12 +95,12 @@ def gatherer(lanes: int) -> Any:
             angles: Theirs, from 0 to a turn and a little beyond either end.
             places: Where they lie among the rings.
             weights: What they count.
-            begins: For each spoke the first line that reaches it.
+            begins: For each azimuth the first line that reaches it.
             ends: And the one behind the last.
-            rings: Rings of a spoke.
+            rings: Rings of an azimuth.
             blur: Standard deviation of the angle.
-            first: The first thread's spoke.
-            values_out: Spoke after spoke, ring by ring.
+            first: The first thread's azimuth.
+            values_out: Spoke after azimuth, ring by ring.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -140,7 +140,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Rows of a few spokes from one before an octave on, ``length`` of them for each spoke."""
+        """Rows of a few azimuths from one before an octave on, ``length`` of them for each azimuth."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -151,7 +151,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few spokes from their ``length`` rows; that of the first ring begins behind those skipped."""
+        """Colours along a few azimuths from ``length`` rows each; the first ring begins behind those skipped."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
@@ -162,10 +162,10 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few spokes at a time, at the rings of an octave of |(u, v)|.
+        """Colours along a few azimuths at a time, at the rings of an octave of |(u, v)|.
 
-        Their red end lies in the same octave of frequencies, which has as many spokes as the next or half of them, and
-        their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each spoke.
+        Their red end lies in the same octave of frequencies, which has as many azimuths as the next or half of them,
+        and their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -181,7 +181,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few spokes that have all ``row_count`` rings, those that the filter takes besides among them.
+        """Colours along a few azimuths that have all ``row_count`` rings, with those that the filter requires.
 
         The filter changes them.
         """
@@ -207,7 +207,7 @@ def adder(w_basis_size: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Add the rings of a spoke, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
+        """Add the rings of an azimuth, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

@@ -1,4 +1,4 @@
-// From rows of the power spectrum on spokes to colours at the rings of a table, for a few spokes side by side.
+// From rows of the power spectrum on azimuths to colours at the rings of a table, for a few azimuths side by side.
 
 #pragma once
 
@@ -7,7 +7,7 @@
 
 namespace warpdiff {
 
-// Room for the rows that a spoke of colours takes, one after the other.
+// Room for the rows that an azimuth of colours takes, one after the other.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
@@ -24,7 +24,7 @@ struct AzimuthRows {
     }
 };
 
-// Rows halfway between spokes: Lagrange's polynomial through four on either side.
+// Rows halfway between azimuths: Lagrange's polynomial through four on either side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -44,9 +44,9 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// The rows that colours along AZIMUTHS spokes take, `length` for each: one before the first of their octave, which
+// The rows that colours along AZIMUTHS azimuths take, `length` for each: one before the first of their octave, which
 // counts as dark, the octave, the next one, and of the one behind that what is left. An octave may have half as many
-// spokes as the next one.
+// azimuths as the next one.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>
 WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& azimuths_of, int rings,
     int octave, int first_azimuth, Values& sequence, int at, int length)
@@ -78,8 +78,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     }
 }
 
-// Turn a spoke's rows into coefficients of the quadratic spline that passes through them, by a filter that runs up and
-// down.
+// Turn the rows of one azimuth into coefficients of the quadratic spline that passes through them, by a filter that
+// runs up and down.
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
@@ -110,8 +110,8 @@ struct FunctionVectors {
     }
 };
 
-// Sums over `taps` rows of AZIMUTHS spokes, `apart` floats from each other: what a row's terms give for each function
-// of w, by a matrix that the spokes share, weighed with the colour curves.
+// Sums over `taps` rows of AZIMUTHS azimuths, `apart` floats from each other: what a row's terms give for each function
+// of w, by a matrix that the azimuths share, weighed with the colour curves.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -150,7 +150,7 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Colours along AZIMUTHS spokes from their `length` rows; that of the first ring begins behind those `skipped`.
+// Colours along AZIMUTHS azimuths from their `length` rows; that of the first ring begins behind those `skipped`.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -1,7 +1,7 @@
 // Mean colours over footprints, Gaussians of (u, v), from a colour table and its mip levels.
 //
 // Stage by stage for a run of pixels. A footprint is one part, mostly: it is split where its direction turns. A part
-// sums the rings around it, by segments of rings that lie in one octave; a ring sums the spokes around it, on the mip
+// sums the rings around it, by segments of rings that lie in one octave; a ring sums the azimuths around it, on the mip
 // level that is blurred by as much or less. What a stage finds is kept in arrays for the next one, so that the compiler
 // makes vectors of it and no pixel waits for another's branches. A GPU takes one pixel, part and segment at a time.
 
@@ -25,7 +25,7 @@ constexpr float WIDE = 0.25f;
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // Up to this variance [rings²] rings have tabulated weights, beyond it the Gaussian itself for weights, and lie as far
 // apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and what
-// else is in them, and spokes where these turn from ring to ring.
+// else is in them, and azimuths where these turn from ring to ring.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
 // Of a wide blur rings count so many deviations out, which leaves the Gaussian a variance of 1/per_variance of its own.
@@ -61,9 +61,9 @@ template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // Which spoke the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a ring that lies ρ times
-    // as far out; how far the first ring lies from the mean of ln |(u, v)| [rings], and that from the middle; the blur
-    // at the middle and what the level has of it, in steps of the taps' variances.
+    // Which azimuth the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a ring that lies ρ
+    // times as far out; how far the first ring lies from the mean of ln |(u, v)| [rings], and that from the middle; the
+    // blur at the middle and what the level has of it, in steps of the taps' variances.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -237,7 +237,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Where parts lie in the table, and how their blur lies across rings and spokes.
+// Where parts lie in the table, and how their blur lies across rings and azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -254,7 +254,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // What goes with the ratio turns the spokes from ring to ring; the rest of the angle blurs each of them.
+            // What goes with the ratio turns the azimuths from ring to ring; the rest of the angle blurs each of them.
             // The spline between rings has a variance of a quarter.
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
@@ -262,7 +262,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             parts.aside2[k] = larger(angle2 - parts.turn_per_ring[k] * both * per_log, 0.0f);
             parts.deviation[k] = deviation;
             // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
-            // further. What an angle that goes with it adds is not that of spokes that lie on a line.
+            // further. What an angle that goes with it adds is not that of azimuths that lie on a line.
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
@@ -281,7 +281,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // A source's lines are narrower than the spokes are apart, and what blurs them has that in it.
+            // A source's lines are narrower than the azimuths are apart, and what blurs them has that in it.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -378,9 +378,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// The spoke around the direction that goes with a ring, and what is left of the blur, in steps of the taps' variances:
-// across (u, v) a straight footprint is as wide at all rings, and its middle lies aside in proportion to how far out
-// they are, which further out is less of an angle.
+// The azimuth around the direction that goes with a ring, and what is left of the blur, in steps of the taps'
+// variances: across (u, v) a straight footprint is as wide at all rings, and its middle lies aside in proportion to how
+// far out they are, which further out is less of an angle.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -493,7 +493,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
     }
 }
 
-// Add the mean XYZ over footprints and the source of deflections from begin to end, at most BATCH, times their gains.
+// Add the mean XYZ over footprints and the source of scattering vectors from begin to end, at most BATCH, times their
+// gains.
 //
 // Of a source, those that the table does not serve are skipped, and `unserved_gain` holds their gains, others' are 0.
 template <int W_BASIS_SIZE, bool SOURCE, int BATCH, int MOST_PARTS, class Table, class Taps, class ScatteringVectors,

@@ -32,7 +32,7 @@ struct FilterSteps {
     }
 };
 
-// Frames and deflections of a batch of pixels, and their footprints.
+// Frames and scattering vectors of a batch of pixels, and their footprints.
 template <int N>
 struct FootprintBatch {
     Batch<N> tangent[3], bitangent[3], normal[3], minus_uvw[3];

@@ -1,4 +1,4 @@
-// Colours of single directions from a colour table: quadratic splines between rings and between spokes.
+// Colours of single directions from a colour table: quadratic splines between rings and between azimuths.
 
 #pragma once
 
@@ -15,8 +15,8 @@ struct Points {
     Batch<N> u = {}, v = {}, w = {};
     Batch<N> turns, place; // angle and place among the rings
     AtW<N> at_w;
-    Batch<N, const float*> first_row; // of the first of three rings, on the first of three spokes
-    Batch<N> aside;                   // from the middle one of these [spokes]
+    Batch<N, const float*> first_row; // of the first of three rings, on the first of three azimuths
+    Batch<N> aside;                   // from the middle one of these [azimuths]
     Batch<N, int> first_ring, octave;
 };
 
@@ -35,7 +35,7 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// The row of a ring of an octave on the first of the three spokes around an angle, and how far the middle one is.
+// The row of a ring of an octave on the first of the three azimuths around an angle, and how far the middle one is.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -77,7 +77,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
-            // The next octave has spokes of its own.
+            // The next octave has azimuths of its own.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);
@@ -92,7 +92,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
     return sum;
 }
 
-// Add the XYZ of deflections from begin to end, at most BATCH, times their gains.
+// Add the XYZ of scattering vectors from begin to end, at most BATCH, times their gains.
 //
 // What the next ones read is asked for AHEAD of their turn: of too many, rows that lie a page apart drive each other
 // out of the first cache.

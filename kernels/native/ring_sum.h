@@ -11,7 +11,7 @@
 
 namespace warpdiff {
 
-// Spokes that are weighed side by side.
+// Azimuths that are weighed side by side.
 constexpr int ARC = batch_of(8);
 // How far a Gaussian counts, in deviations: outwards, and towards the mirror direction, where surfaces are brightest.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
@@ -21,7 +21,7 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Innermost ring, in the narrow deviations or in deviations of the narrowest lobe, whichever is less, and the least
 // deviation in those of that lobe.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// What of the variance along a ring a level has at most, and how far its spokes are apart, in deviations.
+// What of the variance along a ring a level has at most, and how far its azimuths are apart, in deviations.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian of (u, v): its middle, and the inverse of its covariance.
@@ -29,8 +29,8 @@ struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// A level for rings of an octave: where its rows are, how far its spokes are apart [rad], the variance of what lies on
-// them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
+// A level for rings of an octave: where its rows are, how far its azimuths are apart [rad], the variance of what lies
+// on them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
 // variance along the ring on the next one serves.
 struct RingLevel {
     int octave, level, azimuths, first_row;
@@ -80,7 +80,7 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows of a ring from one spoke up to another, which is left out: arcs may touch.
+// Add the rows of a ring from one azimuth up to another, which is left out: arcs may touch.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -157,7 +157,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // Rounded, so that arcs that touch have each spoke once.
+        // Rounded, so that arcs that touch have each azimuth once.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

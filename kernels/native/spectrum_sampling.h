@@ -1,4 +1,4 @@
-// The power spectrum along spokes of the frequency plane, each value the integral under a quadratic B-spline in ln t
+// The power spectrum along azimuths of the frequency plane, each value the integral under a quadratic B-spline in ln t
 // around a ring.
 
 #pragma once
@@ -152,7 +152,7 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
         ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// The integrals along a spoke in this direction, whose sine and cosine count coefficients, at `rings` rings from the
+// The integrals along an azimuth in this direction, whose sine and cosine count coefficients, at `rings` rings from the
 // row `begin` on: `divisions` samples from ring to ring, the first one at t, each `ratio` times as far out as the one
 // before, up to the `highest`.
 //

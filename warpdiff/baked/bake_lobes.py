@@ -194,7 +194,7 @@ class _Bakery:
         return result
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Deflections at random, and as many that were drawn for being bright, with their gains and colours.
+        """Scattering vectors at random, and as many that were drawn for being bright, with their gains and colours.
 
         The last is how bright all are: percentile 99, or, of sparse ones, that above which half of the light lies.
         """

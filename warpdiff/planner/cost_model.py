@@ -26,7 +26,7 @@ SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
 # neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
 _COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_INTERFERENCE = 340.0, 16.0, 20.0, 280.0
-# Spokes and nodes that a line shows on.
+# Azimuths and nodes that a line shows on.
 _AZIMUTHS_OF_LINE, _RINGS_OF_LINE = 7.0, 3.0
 # What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
 # part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.

@@ -37,7 +37,8 @@ _EXPONENT_STEP = 0.5
 _RATE_STEPS = np.arange(1.0, -4.01, -0.25)
 _HEIGHT_STEPS = np.arange(0.0, -3.01, -1.0)
 _COLOUR_STEPS = np.arange(2.5, -4.01, -0.5)
-# Up to so many times the lateral of bright pilots these tell how little of its bound suffices; else this is the least.
+# Up to so many times the lateral of bright training set these tell how little of its bound suffices; else this is the
+# least.
 _TRUSTED_RATE_FACTOR, _LEAST_RATE_STEP = 2.0, -0.25
 _TRIES = 6
 # A table is made for each try: of those that are expected to err by about the target, and then of those that will do by
@@ -46,20 +47,21 @@ _LIKELY_SHARE, _ALWAYS_MEASURED_FROM_RINGS, _PROMISING_FACTOR = 0.85, 48, 1.25
 # More functions of w, which make look-ups dearer, are tried up to so many targets, taken where they leave so little.
 _MENDED_BY_W_BASIS, _WORTH_W_BASIS = 4.0, 0.9
 _WIDENINGS = 3
-# What a jury finds wanting gets so much more of the least weight's exponent, a register more of terms or half an octave
-# more of wavelengths, whichever mends most, where that leaves so little of the error.
+# What a validation set finds wanting gets so much more of the least weight's exponent, a register more of terms or half
+# an octave more of wavelengths, whichever mends most, where that leaves so little of the error.
 _REPAIRS, _MORE_EXPONENT, _WORTH_A_REPAIR = 8, 2.0, 0.95
-# The least weight is at most a thousandth, a picture's floor, of the tolerance: pilots may miss the few directions that
-# see the tail of a bright order and little else.
+# The least weight is at most a thousandth, a picture's floor, of the tolerance: training set may miss the few
+# directions that see the tail of a bright order and little else.
 _LEAST_WEIGHT_SHARE = 1e-3
 # A set's errors scatter: a whole plan may exceed its share by this factor, which the safety covers.
 _SCATTER_FACTOR = 1.2
 _SUBDIVISION_SHARE = 0.3
-# Of so few bright directions in the jury, others may err by more: terms and wavelengths get this share of theirs, or
-# wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the dark. Tables,
-# whose errors fall slowly with their size, get a larger share.
+# Of so few bright directions in the validation set, others may err by more: terms and wavelengths get this share of
+# theirs, or wavelengths are left as the bounds have them, and neighbours end where a mirror's light is lost in the
+# dark. Tables, whose errors fall slowly with their size, get a larger share.
 _ENOUGH_BRIGHT, _FEWEST_BRIGHT, _SHARE_BY_FEW, _TABLE_SHARE_BY_FEW = 64, 8, 0.1, 0.5
-# Predicted errors, in those of a jury that stands for others, if it has enough bright directions and if it has few.
+# Predicted errors, in those of a validation set that stands for others, if it has enough bright directions and if it
+# has few.
 _PREDICTED_PER_ERROR, _PREDICTED_PER_ERROR_BY_FEW = 2.0, 2.5
 # And no less than this share of the tolerance, which no few hundred directions vouch for.
 _LEAST_PREDICTED_SHARE = 0.1
@@ -70,7 +72,7 @@ _HOPELESS_FACTOR = 10.0
 
 
 def search_sampled(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
-    """The cheapest plan found that keeps the tolerance on the pilots, its errors as measured.
+    """The cheapest plan found that keeps the tolerance on the training set, its errors as measured.
 
     Args:
         plan: The plan from bounds.
@@ -95,7 +97,7 @@ def search_sampled(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         plan, quadrature = _fewer_wavelengths(plan, trial, margin * _QUADRATURE_SHARE * target)
     plan, error = refine(plan, trial, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # What a jury finds that cancels, and pilots have not seen.
+        # What a validation set finds that cancels, and training set have not seen.
         amplitudes = dataclasses.replace(plan, method=trial.reference.method, terms=trial.reference.terms)
         plan, error = refine(amplitudes, trial, target)
     # The sources in proportion to what each leaves out, as much as the whole is wrong by.
@@ -109,7 +111,7 @@ def search_sampled(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 
 
 def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
-    """The smallest polar table that the jury finds within the tolerance, or the best of those within reach.
+    """The smallest polar table that the validation set finds within the tolerance, or the best of those within reach.
 
     A table is made for each attempt and found again by the call that follows, which adds the levels for footprints.
     None where all are too large, or err too much for points.
@@ -127,7 +129,7 @@ def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, aff
         # What surrounds the mirror direction is sampled.
         plan = dataclasses.replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _likely_terms(plan, trial, _TERMS_SHARE * target)
-    # What hardly any of the jury tells, the largest error that tables make does.
+    # What hardly any of the validation set tells, the largest error that tables make does.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < _FEWEST_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     best, least = None, math.inf
@@ -168,7 +170,7 @@ def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, aff
             )  # fmt: skip
         if error <= target:
             break
-        # Pilots may have missed what takes more terms.
+        # Training set may have missed what takes more terms.
         longer = more_terms(plan, trial)
         if longer is not None and by_terms is None:
             by_terms = trial.validation_error(plan)
@@ -196,7 +198,7 @@ def _largest_sizes(table_sizes: list[tuple[int, float]], plan: Plan) -> list[tup
 
 
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
-    """The error to predict by the jury's, the larger the less it stands for the call; no reason to refuse a plan."""
+    """Predict the error from the validation error: larger, the less the set represents the call."""
     per_error = _PREDICTED_PER_ERROR if trial.bright[1] >= _ENOUGH_BRIGHT else _PREDICTED_PER_ERROR_BY_FEW
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else per_error
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
@@ -228,7 +230,7 @@ def _likely_terms(plan: Plan, trial: Trial, share: float) -> tuple[Plan, float]:
 
 
 def refine(plan: Plan, trial: Trial, target: float) -> tuple[Plan, float]:
-    """The plan with so much more of what it lacks that the jury finds it within the target, and its error there."""
+    """Refine a plan until its validation error is within the target; return it with this error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for _ in range(_REPAIRS):
@@ -343,7 +345,7 @@ def _fewer_wavelengths(plan: Plan, trial: Trial, share: float) -> tuple[Plan, fl
 
 
 def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[np.float64]]:
-    """The plan, widened where its bounds do not suffice, and what twice its wavelengths make of all pilots.
+    """The plan, widened where its bounds do not suffice, and what twice its wavelengths make of all training set.
 
     Bounds are for what oscillates; a surface much higher than a wavelength may take a little more than they say.
     """
@@ -375,7 +377,7 @@ def _wide_enough(plan: Plan, trial: Trial, share: float) -> tuple[Plan, NDArray[
 def _bandwidths(
     plan: Plan, trial: Trial, share: float, exact: NDArray[np.float64]
 ) -> Iterator[tuple[float, float, float]]:
-    """Bandwidths to try: the cheapest that gives each pilot enough wavelengths, and wider ones."""
+    """Bandwidths to try: the cheapest that gives each training direction enough wavelengths, and wider ones."""
     per_sample = plan.subdivisions * plan.wavelengths
     sizes: list[int] = []
     errors: list[NDArray[np.float64]] = []
@@ -387,7 +389,7 @@ def _bandwidths(
         errors.append(trial.errors(values, exact))
         size = coefficient_table.wavelength_set_size(size * 2.0 ** (-1.0 / coefficient_table.SETS_PER_OCTAVE))
 
-    # Of a source, grazing light is foreshortened beyond what bright pilots tell of.
+    # Of a source, grazing light is foreshortened beyond what bright training set tell of.
     bright_rate = float(np.max(trial.order_rate, initial=0.0, where=trial.training_set.above.all(axis=0)))
     known_to = plan.coherence.kind != "source" or bright_rate * _TRUSTED_RATE_FACTOR >= trial.max_order_rate
     rate_steps = _RATE_STEPS if known_to else _RATE_STEPS[_RATE_STEPS >= _LEAST_RATE_STEP]

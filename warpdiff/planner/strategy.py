@@ -134,7 +134,7 @@ def plan(
 def directions_of(
     request: Evaluation, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
-    """The scope of directions, some of them, and their number; None is the whole hemisphere.
+    """The direction range of directions, some of them, and their number; None is the whole hemisphere.
 
     A plan for directions that are not yet known is made for many.
     """
@@ -172,7 +172,7 @@ def _some_of(directions: ArrayLike, name: str) -> NDArray[np.float64]:
 def _any_direction(
     heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, given: NDArray[np.float64] | None
 ) -> DirectionRange:
-    """A scope that holds for the whole hemisphere on one side and the given directions, or all, on the other."""
+    """Return the range of the whole hemisphere on one side and of the given directions, or all, on the other."""
     max_uv = min_w = max_w = 0.0
     if given is None:
         max_uv, min_w, max_w = 2.0, 0.0, 2.0

@@ -1,6 +1,6 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
-A search may try what it likes on the pilots; the jury is not looked at before it judges what was found.
+A search may try what it likes on the training set; the validation set is not looked at before it judges what was found.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class Trial:
 
     @property
     def bright(self) -> tuple[float, float]:
-        """How many of the jury are bright, by the highest floor and by the lowest; infinite where all are judged."""
+        """Number of bright validation directions, by the highest and by the lowest floor; infinite where all count."""
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
         self.exact(self.validation_set)
@@ -198,7 +198,7 @@ class Trial:
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group | None = None) -> NDArray[np.float64]:
-        """Colours of directions, the pilots, by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Colours of the training set by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         group = self.training_set if group is None else group
         arrays = group.scattering_vectors, group.to_lights, group.gains
         if self._wavenumbers is not None:
@@ -241,17 +241,17 @@ class Trial:
         return coefficients
 
     def errors(self, values: NDArray[np.float64], against: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The error of each pilot, shape (rows, n)."""
+        """The error of each training direction, shape (rows, n)."""
         self.exact(self.training_set)
         return self.training_set.errors(values, against)
 
     def error(self, values: NDArray[np.float64], against: NDArray[np.float64] | None = None) -> float:
-        """Percentile 99 of the pilots' errors, of bright ones or of dim ones, whichever is larger."""
+        """Percentile 99 of the training set' errors, of bright ones or of dim ones, whichever is larger."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.errors(values, exact if against is None else against), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
-        """The worst of a plan's errors on the jury, of what lies within the reach of its bounds, if anything does."""
+        """Largest error of a plan on the validation directions that lie within its bounds, if any does."""
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
         sample = self.validation_set.sample
@@ -265,7 +265,7 @@ class Trial:
         )
 
     def passes(self, errors: NDArray[np.float64], most: float) -> NDArray[np.bool_]:
-        """Whether percentile 99 of pilots' errors (…, rows, n) is at most so much, shape (…)."""
+        """Whether percentile 99 of training set' errors (…, rows, n) is at most so much, shape (…)."""
         fine = errors <= most
         result = np.ones(errors.shape[:-2], dtype=bool)
         for index in range(errors.shape[-2]):

@@ -3,8 +3,8 @@
 A uniform sample of a call misses what decides where little of it is bright. So geometry alone is looked at for
 thousands of directions; of these, a thousand are watched, uniform ones and all that are suspect (near the mirror
 direction, near strong orders, of the largest gain, at the ends of the call's ranges), with a coarse plan that tells how
-bright they are. Of the watched, a search's pilots and its jury are drawn, nearly half of them for being bright. Each
-direction weighs as much as the part of the call that it stands for.
+bright they are. Of the watched, a search's training set and its validation set are drawn, nearly half of them for being
+bright. Each direction weighs as much as the part of the call that it stands for.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """The pilots and the jury among what is watched; of few directions, the jury is all of them.
+    """Select training set and validation set among the candidates; of few directions, all are validation directions.
 
     Args:
         candidates: What is watched.
@@ -73,7 +73,8 @@ def sampled(
     bright = np.where(luminance >= 0.5 * floor, weights, 0.0)
     measure = weights / weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(int(is_edge_case.sum()), 1)
     measure = measure + _BRIGHT_SHARE * bright / max(float(bright.sum()), 1e-300)
-    # In their order by brightness, every third may be a pilot, for either to have its share of what few there are.
+    # In their order by brightness, every third may be a training direction, for either to have its share of what few
+    # there are.
     order = np.argsort(luminance, kind="stable")
     if len(order) <= _TRAINING:
         return candidates, candidates

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GBuffer:
-    """The G-buffer of rays: hits and frames, and under the last light shadows, deflections, directions to it, gains.
+    """The G-buffer of rays: hits and frames, and samples of the last light (shadows, scattering vectors, gains).
 
     ``any_occluded`` is of all lobes of a light together.
     """
@@ -64,7 +64,7 @@ class GBuffer:
 
     @property
     def directions(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Deflections, directions to the light and gains."""
+        """Scattering vectors, directions to the light and gains."""
         return self.scattering_vectors, self.to_lights, self.gains
 
 

@@ -95,7 +95,7 @@ class DirectionRange:
 
     Attributes:
         max_uv: Largest |(u, v)|.
-        max_order_rate: Largest of :func:`lateral`.
+        max_order_rate: Largest of :func:`order_rate`.
         min_w: Smallest |w|.
         max_w: Largest |w|.
         lambda_min_nm: Shortest wavelength [nm].
@@ -114,7 +114,7 @@ class DirectionRange:
         cls, heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
         to_lights: NDArray[Any], illuminated: NDArray[np.bool_], wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """The scope of lit ones among deflections and directions to the light, both of shape (n, 3)."""
+        """Return the range of the illuminated scattering vectors and directions to the light, both of shape (n, 3)."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -129,7 +129,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """The scope of both; one without lit directions adds nothing."""
+        """The direction range of both; one without lit directions adds nothing."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:

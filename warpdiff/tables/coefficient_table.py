@@ -76,7 +76,7 @@ def table_cache(heightfield: HeightField) -> _TableCache:
 
 @dataclass(frozen=True)
 class CoefficientRange:
-    """The range that a scope is rounded up to.
+    """The range that a direction range is rounded up to.
 
     Small changes of a moving light or view, and all visible wavelengths, meet the same one.
 
@@ -128,7 +128,7 @@ def coefficients_for(
     heightfield: HeightField, method: str, coherence: Coherence, direction_range: DirectionRange,
     neighbour_extent: tuple[int, int], *, terms: int, threads: int, to_fit: bool = False,
 ) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
-    """The coefficients that a scope needs, computed or found again; they do not depend on the size of a window.
+    """Return the coefficients of a direction range, computed or cached; they do not depend on the window.
 
     Args:
         heightfield: The height field.

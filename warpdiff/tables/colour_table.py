@@ -238,7 +238,7 @@ def _sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _sampled(source: _Source, *, device: wp.Device, threads: int) -> Any:
-    """The spectrum's rows, octave after octave, spoke after spoke."""
+    """The spectrum's rows, octave after octave, azimuth after azimuth."""
     layout, sampler = source.layout, source.sampler
     bases = wp.array(np.ascontiguousarray(source.at_kappas.T), dtype=sampler.row, device=device)
     values = wp.empty(int(layout.starts[-1]), dtype=sampler.row, device=device)
@@ -297,7 +297,7 @@ def _coloured(
 def _filler(
     source: _Source, projection: Projection, spectrum_rows: Any, *, device: wp.Device, threads: int
 ) -> Callable[[int, int, Any], None]:
-    """What puts the sharp colours of an octave on its spokes."""
+    """What puts the sharp colours of an octave on its azimuths."""
     layout, count, terms = source.layout, projection.w_basis.shape[1], len(source.terms.sizes)
     rings = layout.rings_per_octave
     projector = spectrum_sampling.projector(len(source.at_kappas), count)
@@ -325,7 +325,8 @@ def _filler(
         inputs = [values, matrices, curves, terms, rings, row_count]
         launch(projector.project_lines, layout.azimuths[0][octave] // projector.abreast, inputs, [rows], **options)
 
-    # Room for each spoke, of which a slice on the CPU only takes that of its first ones: what is left is no memory yet.
+    # Room for each azimuth, of which a slice on the CPU only takes that of its first ones: what is left is no memory
+    # yet.
     length = rings + before + colour_lookup.FILTER_REACH
     sequence, starts, azimuths = None, None, None
     if not source.is_line_spectrum:
@@ -394,7 +395,7 @@ def _fill(
     table: Any, target: Any, layout: MipLayout, first_level: int, fill: Callable[[int, int, Any], None], *,
     device: wp.Device, threads: int,
 ) -> None:  # fmt: skip
-    """Make the rows of a layout's levels, from one on, of what ``fill`` puts on the spokes of a level and an octave."""
+    """Make the rows of a layout's mip levels; ``fill`` computes those of a level and an octave."""
     table.azimuths = wp.array(layout.azimuths, dtype=wp.int32, device=device)
     table.blurs = wp.array(layout.level_blurs, dtype=wp.float32, device=device)
     table.first_rows = wp.array(

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Deviations of a blur that spokes or nodes reach at least: of a spectrum under a window, whose own blur is about so
-# many distances of spokes in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's
+# Deviations of a blur that azimuths or nodes reach at least: of a spectrum under a window, whose own blur is about so
+# many distances of azimuths in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's
 # lines, whose flanks are seen for themselves.
 _TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
 _TAP_RADIUS_SIGMAS_OF_LINES = 3.1
@@ -65,9 +65,9 @@ def _parts(most: int) -> NDArray[np.float64]:
 def _tap_weights(
     most: int, radius_sigmas: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Weights of the spokes around a place, (variances, fractions, most), and how many of them count.
+    """Weights of the azimuths around a place, (variances, fractions, most), and how many of them count.
 
-    The fraction is how far the place lies from the middle of these. ``weigh`` takes the spokes' places from there,
+    The fraction is how far the place lies from the middle of these. ``weigh`` takes the azimuths' places from there,
     (n, m), and the blur's variance.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5

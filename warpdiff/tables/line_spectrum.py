@@ -62,7 +62,7 @@ def gathered(
     lines: LineSpectrum, coefficients: wp.array, sampler: Any, *, log_begin: float, per_log: float, rings: int,
     azimuths: int, blur: float, device: wp.Device, **options: Any,
 ) -> wp.array:  # fmt: skip
-    """The density of lines over frequency on spokes, spoke after spoke and node by node.
+    """The density of lines over frequency on azimuths, azimuth after azimuth and node by node.
 
     Args:
         lines: What to gather.
@@ -70,7 +70,7 @@ def gathered(
         sampler: The namespace of :func:`warpdiff.kernels.spectrum_sampling.gatherer`.
         log_begin: ln |q| of the first node.
         per_log: Nodes per unit of ln |q|.
-        rings: Of a spoke.
+        rings: Of an azimuth.
         azimuths: Their number.
         blur: Standard deviation of a line's angle [rad].
         device: Where.

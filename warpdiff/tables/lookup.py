@@ -46,7 +46,7 @@ class ColourLookup:
         xyz: wp.array, *, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
         among: range | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Add the XYZ of deflections (n,) to those in ``xyz``.
+        """Add the XYZ of scattering vectors (n,) to those in ``xyz``.
 
         Args:
             scattering_vectors: (u, v, w).

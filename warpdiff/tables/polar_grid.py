@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Samples along a spoke, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of
+# Samples along an azimuth, in standard deviations of the spectrum's blur, where they are furthest apart: a sum of
 # Gaussians is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and nodes are means of
 # some samples.
 _SAMPLE_SPACING_SIGMAS = 1.6
@@ -39,17 +39,18 @@ _FLAT_WITHIN_SIGMAS = 0.02
 _FEWEST_AZIMUTHS = 16
 # A wavelength in the middle [µm].
 MIDDLE_UM = 0.55
-# A source's lines are blurred by so many distances of spokes, which makes them smooth splines, ...
+# A source's lines are blurred by so many distances of azimuths, which makes them smooth splines, ...
 _LINE_BLUR_SPACINGS = 0.8
 # ... of which there are more by this factor: the less they are blurred, the less of a grazing source is left over.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
 # In deviations of a source: within, its blur is no range of angles and ratios.
 _INNER_RADIUS_SPREADS = 30.0
-# Spokes of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these [rad].
+# Azimuths of a level that is blurred for footprints, in a standard deviation of all its blur; the widest of these
+# [rad].
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 _WIDEST_BLUR_RAD = 0.4
 LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
-# Nodes an octave and spokes in a standard deviation of the blur, of which either errs as much as the other.
+# Nodes an octave and azimuths in a standard deviation of the blur, of which either errs as much as the other.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Errors fall with this power of the nodes.
 ERROR_ORDER = 2.0
@@ -64,15 +65,15 @@ class MipLayout:
     """Where the nodes of a table lie.
 
     The spectrum is sampled on octaves of frequencies. A node of |(u, v)| has the number of the frequency at its red
-    end, and its octave's colours reach into the next one, whose spokes it takes.
+    end, and its octave's colours reach into the next one, whose azimuths it takes.
 
     Attributes:
         nodes: Nodes an octave.
         log_low: ln t of the first node.
-        spectrum_azimuths: Spokes of each octave of frequencies: as many as the one before, or twice as many.
+        spectrum_azimuths: Azimuths of each octave of frequencies: as many as the one before, or twice as many.
         divisions: Samples from one node to the next, of each of them.
         blurs: Of each octave of |(u, v)|, the spectrum's own blur [rad].
-        azimuths: Spokes of each level and octave of |(u, v)|.
+        azimuths: Azimuths of each level and octave of |(u, v)|.
         level_blurs: What these are blurred by besides [rad].
         highest: Largest frequency that is looked up [1/µm].
     """
@@ -151,18 +152,18 @@ class MipLayout:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """The row of each octave's spoke 0 among the spectrum's samples, and at the end the number of all."""
+        """The row of each octave's azimuth 0 among the spectrum's samples, and at the end the number of all."""
         return np.cumsum([0, *(azimuths * self.rings_per_octave for azimuths in self.spectrum_azimuths)])
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
-        """The row of each level's and octave's spoke 0, and at the end the number of all rows."""
+        """The row of each level's and octave's azimuth 0, and at the end the number of all rows."""
         counts = (np.asarray(self.azimuths).ravel() + 2 * HALF_TAPS) * self.rings_per_octave
         first = np.append(np.full(len(counts), HALF_TAPS * self.rings_per_octave), 0)
         return np.asarray(np.concatenate([[0], np.cumsum(counts)]) + first)
 
     def source(self, level: int, octave: int) -> int:
-        """The widest level that another can be made from: what it lacks of the blur spans its spokes."""
+        """The widest level that another can be made from: what it lacks of the blur spans its azimuths."""
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / azimuths[octave] for azimuths in self.azimuths[:level]]
         lacking = [width**2 - blurs[octave] ** 2 for blurs in self.level_blurs[:level]]
@@ -220,7 +221,7 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Nodes an octave and spokes in a standard deviation of the blur that tables come in, the smallest first."""
+    """Nodes an octave and azimuths in a standard deviation of the blur that tables come in, the smallest first."""
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 
