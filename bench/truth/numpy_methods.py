@@ -212,12 +212,12 @@ def windowed_powers(
         sigma: Standard deviation of the window [µm].
         method: One of ``METHODS`` or "exact".
         terms: Terms of the series.
-        dtype: The arithmetic of the coefficients and of all sums.
+        dtype: The arithmetic of the coefficients and of all sums; positions have that of the directions.
         neighbour_extent: Neighbours on either side; None is all that contribute.
         floor: Whether the middle one is found by floor() instead of rounding.
     """
     scattering_vectors = -(lights + views)
-    tau = 1.0 / np.asarray(wavelengths_um)
+    tau = (1.0 / np.asarray(wavelengths_um)).astype(lights.dtype)
     kappa = np.outer(scattering_vectors[:, 2], tau).ravel()
     rows = rows_for(heightfield, method, terms, kappas=(kappa.min(), kappa.max()), dtype=dtype)
     falloff = 4.0 * (math.pi * sigma) ** 2
@@ -229,7 +229,7 @@ def windowed_powers(
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
         # An axis of one sample is constant: it has no order but 0.
-        order = near[:, None] + np.arange(-most, most + 1) if n > 1 else np.zeros((len(near), 1))
+        order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
     (y, weight_y), (x, weight_x) = axes
@@ -237,7 +237,7 @@ def windowed_powers(
     step = max(1, CHUNK // (y.shape[1] * x.shape[1] * rows.values.shape[2]))
     for first in range(0, len(kappa), step):
         part = slice(first, first + step)
-        basis = rows.basis(kappa[part])
+        basis = rows.basis(kappa[part].astype(np.float64))
         with np.errstate(all="ignore"):
             values = np.einsum("pyxt,pt->pyx", rows.values[y[part][:, :, None], x[part][:, None, :]], basis)
             values = np.abs(values) ** 2 if np.iscomplexobj(values) else np.maximum(values, 0)
@@ -260,37 +260,10 @@ def most_terms(heightfield, method, kappa, tolerance=1e-13):
     return min(reference.chebyshev_terms(math.pi * kappa * heightfield.height_range_um) + 6, MAX_TERMS)
 
 
-def single_precision(heightfield, lights, views, wavelengths_um, *, sigma, dtype=np.float32):
-    """ρ with everything in one arithmetic, float32 as in a shader: directions, gain, positions, sums."""
-    i, r = lights.astype(dtype), views.astype(dtype)
-    scattering_vector = -(i + r)
-    cosine = np.sum(i * r, axis=1)
-    half = (i + r) / np.linalg.norm(i + r, axis=1, keepdims=True).astype(dtype)
-    cos_d = np.sum(half * r, axis=1)
-    normal = dtype(0.04)
-    fresnel = (normal + (1 - normal) * (1 - cos_d) ** 5) / normal
-    gain = fresnel * (1 + cosine) ** 2 / ((i[:, 2] + r[:, 2]) ** 2 * r[:, 2])
-    gain *= np.minimum(dtype(1), 2 * half[:, 2] * np.minimum(i[:, 2], r[:, 2]) / cos_d)
-    tau = (1.0 / np.asarray(wavelengths_um)).astype(dtype)
-    rows = rows_for(heightfield, "exact", None, kappas=(-2.0 / np.min(wavelengths_um), 0.0), dtype=dtype)
-    falloff = dtype(4.0 * (math.pi * sigma) ** 2)
-    powers = np.zeros((len(i), len(tau)), dtype=dtype)
-    axes = []
-    for across, length, n in (
-        (scattering_vector[:, 1], heightfield.size_um[0], heightfield.shape[0]),
-        (scattering_vector[:, 0], heightfield.size_um[1], heightfield.shape[1]),
-    ):
-        position = across[:, None] * tau * dtype(length)
-        most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5)
-        order = np.rint(position)[..., None] + np.arange(-most, most + 1, dtype=dtype)
-        weight = np.exp(-falloff * ((order - position[..., None]) / dtype(length)) ** 2)
-        axes.append((order.astype(np.int64) % n, weight))
-    (y, weight_y), (x, weight_x) = axes
-    for k, kappa in enumerate(scattering_vector[:, 2][:, None] * tau):
-        basis = rows.basis(kappa.astype(np.float64))
-        values = np.einsum("pyxt,pt->pyx", rows.values[y[k][:, :, None], x[k][:, None, :]], basis)
-        powers[k] = np.einsum("pyx,py,px->p", np.abs(values) ** 2, weight_y[k], weight_x[k])
-    return gain[:, None] * powers
+def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
+    """ρ with everything in float32, as in a shader: directions, gain, positions, sums."""
+    i, r = lights.astype(np.float32), views.astype(np.float32)
+    return series_reflectance(heightfield, i, r, wavelengths_um, sigma=sigma, dtype=np.float32)
 
 
 # Integrals over λ.
