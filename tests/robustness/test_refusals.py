@@ -86,7 +86,7 @@ def bad_values(option: Option) -> Iterator[tuple[object, str]]:
             yield (math.nan,) * option.length, "must "
             yield from (((value,) * option.length, "must ") for value in outside)
         case "object" if option.instance_of is not None:
-            yield object(), f"must be a warpdiff.{option.instance_of.__name__}, got object"
+            yield ..., f"must be a warpdiff.{option.instance_of.__name__}, got ellipsis"
 
 
 @contextlib.contextmanager
