@@ -27,7 +27,11 @@ PICTURE = HIDE + (
     "image.save(Path(sys.argv[1]) / 'first.png'); import time; print(time.monotonic())"
 )
 
-
+ROUNDS = 5
+PROCESSES = {
+    "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
+    "first picture, kernels compiled before": PICTURE,
+}  # fmt: skip
 # Libraries alone require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
@@ -54,30 +58,21 @@ def seconds(code: str, cache: Path) -> tuple[float, float]:
     """Return the time from the start of a process to its result, or its end if it prints none, and to its end."""
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(cache)], env=environment, check=True, stdout=subprocess.PIPE, text=True
-    )
+    result = subprocess.check_output([sys.executable, "-c", code, str(cache)], env=environment, text=True)
     end = time.monotonic()
-    return float(result.stdout.split()[-1] if result.stdout else end) - begin, end - begin
+    return float(result.split()[-1] if result else end) - begin, end - begin
 
 
 def main() -> None:
     """Time all kinds of processes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=5, help="processes of each kind (5)")
     parser.add_argument("--scan", type=Path, help="scan of 1332 × 1332 samples, whose preparation is timed")
     options = parser.parse_args()
-    rounds = options.rounds
     times: dict[str, list[tuple[float, float]]] = {}
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder)
-            for name, code in (
-                ("Python alone", "pass"),
-                ("from warpdiff import *", IMPORT),
-                ("first picture, no kernel compiled", PICTURE),
-                ("first picture, kernels compiled before", PICTURE),
-            ):
+            for name, code in PROCESSES.items():
                 times.setdefault(name, []).append(seconds(code, cache))
     print("| process | s, median | least | most | to the end of the process |\n| --- | --- | --- | --- | --- |")
     for name, pairs in times.items():

@@ -30,7 +30,7 @@ TABLE = 1e-2
 
 def measure(setting: Setting) -> dict[str, Any]:
     """Return milliseconds per frame and errors, by subject and method."""
-    names = crops.bodies(setting.data and str(setting.data), [])
+    names = crops.bodies(setting.data and str(setting.data))
     results: dict[str, Any] = {}
     for body in ("tube",) if setting.quick else SUBJECTS:
         if body not in names:
@@ -75,19 +75,13 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     )
     result = {}
     for name, way in variants.items():
-        errors = []
+        plan = {"plan": renderers[name].plan, "samples_per_pixel": way.get("samples_per_pixel", 1)}
+        refine, errors = way.get("refine", True), []
         for crop, exact in cases:
-            plan = {"plan": renderers[name].plan, "samples_per_pixel": way.get("samples_per_pixel", 1)}
-            image = wd.shade(
-                mesh, heightfield, crop.light, crop.view, **plan, refine=way.get("refine", True), **options
-            )
+            image = wd.shade(mesh, heightfield, crop.light, crop.view, **plan, refine=refine, **options)
             errors.append(crops.measured(crop, exact, image).interior)
-        every = np.concatenate(errors)
-        result[name] = {
-            "ms": [1e3 * seconds for seconds in times[name][:3]],
-            "p50": float(np.median(every)),
-            "p99": float(np.percentile(every, 99.0)),
-        }
+        p50, p99 = np.percentile(np.concatenate(errors), (50.0, 99.0)).tolist()
+        result[name] = {"ms": [1e3 * seconds for seconds in times[name][:3]], "p50": p50, "p99": p99}
     return result
 
 
@@ -126,10 +120,7 @@ def _ratios(results: dict[str, Any]) -> str:
     """Return by which factors time and error of refined frames are smaller than those of points."""
     texts = []
     for body, by_method in results.items():
-        ours, points = (
-            by_method["refined to 0.1"],
-            [figure for name, figure in by_method.items() if name.startswith("points")],
-        )
+        ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]
         most = max(points, key=lambda figure: figure["ms"][0])
         texts.append(f"{most['ms'][0] / ours['ms'][0]:.0f} and {most['p99'] / ours['p99']:.1f} times smaller ({body})")
     return ", ".join(texts)

@@ -8,6 +8,7 @@ is timed separately, without compilation.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import time
 from typing import TYPE_CHECKING, Any, cast
@@ -104,10 +105,8 @@ def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]
 def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
     """Return a peer at the most accurate setting that it supports."""
     for setting in reversed(settings):
-        try:
+        with contextlib.suppress(ValueError):
             return cast("Shade", peer.prepare(heightfield, coherence, **setting))
-        except ValueError:
-            continue
     raise ValueError(f"{peer.__name__} supports none of its settings")
 
 
@@ -310,7 +309,7 @@ def _at(curve: dict[str, Any], error: float) -> int | None:
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return what a chart shows, in a sentence, including cases where a peer is better."""
+    """Return what a chart shows, in a sentence."""
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:
@@ -326,21 +325,4 @@ def finding(result: dict[str, Any]) -> str:
     if rivals:
         best = min(rivals, key=lambda name: rivals[name])
         text += f", the best peer ({STYLES[best][2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
-    rest = {name: us for name, us in others.items() if name not in rivals}
-    cheapest = min(rest, key=lambda name: rest[name], default=None)
-    if cheapest is not None and rest[cheapest] < 0.8 * mine:
-        text += f"; a setting of {STYLES[cheapest][2]} that it does not choose requires {rest[cheapest]:.2g}"
-    never = [STYLES[name][2] for name in curves if name != AUTOMATIC and name not in others]
-    if never:
-        text += f"; {', '.join(never)} do not reach it" if len(never) > 1 else f"; {never[0]} does not reach it"
-    slower = [
-        tolerance for k, tolerance in enumerate(curves[AUTOMATIC]["setting"])
-        if any(_dominates(curves[name], curves[AUTOMATIC]["p99"][k], curves[AUTOMATIC]["us"][k][0]) for name in rivals)
-    ]  # fmt: skip
-    if slower:
-        text += f"; at a tolerance of {', '.join(slower)} a peer is both faster and more accurate"
     return text + "."
-
-
-def _dominates(curve: dict[str, Any], error: float, us: float) -> bool:
-    return any(p <= error and t[0] < us for p, t in zip(curve["p99"], curve["us"], strict=True))
