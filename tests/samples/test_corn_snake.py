@@ -195,11 +195,9 @@ def test_colours_are_where_they_belong(surface):
      ({"bend_deg": -1.0}, ValueError, "bend_deg must be"),
      ({"waves": 6.0}, ValueError, "bend_deg and waves must leave the bends wider than the body"),
      ({"bend_deg": 120.0, "waves": 1.6}, ValueError, "bend_deg must leave the bends apart, got 120"),
-     ({"tangent": "up"}, ValueError, "tangent must be one of 'around', 'along'"),
      ({"scale_rows": 3}, ValueError, "scale_rows must be an integer, at least 5"),
      ({"scale_rows": 26}, ValueError, "scale_rows must be odd"),
      ({"ventrals": 7}, ValueError, "ventrals must be an integer, at least 8"),
-     ({"segments": 2.5}, TypeError, "segments must be an integer"),
      ({"seed": -1}, ValueError, "seed must be"),
      ({"radius": math.inf}, ValueError, "radius must be")],
 )  # fmt: skip

@@ -56,25 +56,14 @@ def test_views_are_values():
 
 @pytest.mark.parametrize(
     ("changed", "error", "message"),
-    [({"eye": TARGET}, ValueError, "eye and target must be two different points"),
-     ({"eye": (1, 2)}, ValueError, "eye must be 3 numbers"),
+    [({"eye": (1, 2)}, ValueError, "eye must be 3 numbers"),
      ({"eye": "here"}, TypeError, "eye must be an array"),
-     ({"target": (0, 0, math.nan)}, ValueError, "target must be finite"),
-     ({"up": (0, 0, 1)}, ValueError, "up must not be parallel"),
      ({"up": (0, 0, -2e-9)}, ValueError, "up must not be parallel"),
      ({"up": (0, 0, 0)}, ValueError, "up must not contain zero"),
      ({"up": (0, 1e16, 0)}, ValueError, "up must lie within"),
-     ({"fov_y_deg": 0}, ValueError, "fov_y_deg must be"),
      ({"fov_y_deg": 180}, ValueError, "fov_y_deg must be less than 180, got 180"),
-     ({"fov_y_deg": math.nan}, ValueError, "fov_y_deg must be"),
-     ({"fov_y_deg": "wide"}, TypeError, "fov_y_deg must be a number"),
-     ({"width": 0}, ValueError, "width must be an integer, at least 1"),
-     ({"width": 2.5}, TypeError, "width must be an integer"),
-     ({"height": -1}, ValueError, "height must be an integer, at least 1"),
      ({"height": True}, TypeError, "height must be an integer"),
-     ({"extent_y": 0.0}, ValueError, "extent_y must be"),
-     ({"extent_y": 1e-16}, ValueError, "extent_y must be at least 1e-15"),
-     ({"width": 2**20, "height": 2**20}, ValueError, "width times height must be at most")],
+     ({"extent_y": 1e-16}, ValueError, "extent_y must be at least 1e-15")],
 )  # fmt: skip
 def test_bad_views(changed, error, message):
     arguments = {"eye": EYE, "target": TARGET} | changed
