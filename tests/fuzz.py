@@ -1,7 +1,5 @@
 """Fuzzed arguments: strategies made from the descriptions of options, and calls of everything that is public."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import decimal
@@ -10,7 +8,6 @@ import functools
 import inspect
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
@@ -18,11 +15,8 @@ import trimesh
 from hypothesis import strategies as st
 
 import warpdiff as wd
-from warpdiff.core.options import SPELLINGS, describe
+from warpdiff.core.options import SPELLINGS, Option, describe
 from warpdiff.request.settings import SinglePictureSettings
-
-if TYPE_CHECKING:
-    from warpdiff.core.options import Option
 
 UP = (0.0, 0.0, 1.0)
 HEIGHTFIELD = wd.gratings.sinusoidal(1.0, 0.1)
@@ -74,13 +68,11 @@ _COUNTS = st.one_of(st.integers(-3, 9), st.integers(17, 70).map(lambda k: 2**k),
 _ROWS = st.lists(st.lists(_NUMBERS, max_size=4), max_size=4)
 _VECTORS = st.one_of(st.lists(_NUMBERS, min_size=3, max_size=3), st.lists(_NUMBERS, max_size=4), _ROWS)
 _TEXTS = st.one_of(st.text(max_size=8), st.sampled_from(["auto", "averaged", "D65", "FL11", "cpu", "cuda:9", "Au"]))
-_PATHS = st.sampled_from(
-    [
-        *("", ".", "/", "..", "a\0b.png", "\ud800.png", "no/such/a.png", "x" * 5000 + ".png", "a.jpg", ".png", "-"),
-        *("/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/dev/full/a.png", "https://127.0.0.1:9/a.png"),
-        *("new/one", "a.npy"),
-    ]
-)
+_PATHS = st.sampled_from([
+    *("", ".", "/", "..", "a\0b.png", "\ud800.png", "no/such/a.png", "x" * 5000 + ".png", "a.jpg", ".png", "-"),
+    *("/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/dev/full/a.png", "https://127.0.0.1:9/a.png"),
+    *("new/one", "a.npy"),
+])  # fmt: skip
 _HEIGHTS = st.one_of(
     _ROWS,
     st.tuples(st.sampled_from([TINY, 1.0, 1e150, HUGE]), st.sampled_from([(1, 1), (1, 9), (7, 5), (0, 3)])).map(
@@ -198,18 +190,10 @@ def _one_of(make):
 
 # Of arguments that are objects, by name.
 OBJECTS = {
-    "heightfield": _one_of(_heightfields),
-    "mesh": _one_of(malformed_meshes),
-    "view": _one_of(_views),
-    "coherence": _one_of(_coherences),
-    "plan": _one_of(_plans),
-    "shots": st.lists(_one_of(_shots), max_size=3),
-    "lobes": _one_of(lambda: [lobes()]),
-    "illuminant": _TEXTS,
-    "heights_um": _HEIGHTS,
-    "pitch_um": st.one_of(_NUMBERS, _VECTORS),
-    "progress": st.just("bad"),
-    "client": st.just("bad"),
+    "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
+    "coherence": _one_of(_coherences), "plan": _one_of(_plans), "shots": st.lists(_one_of(_shots), max_size=3),
+    "lobes": _one_of(lambda: [lobes()]), "illuminant": _TEXTS, "heights_um": _HEIGHTS,
+    "pitch_um": st.one_of(_NUMBERS, _VECTORS), "progress": st.just("bad"), "client": st.just("bad"),
     "previews": st.sampled_from([{1e-3: print}, {0.5: None}, {math.nan: print}, {HUGE: print}, {"x": print}, {}]),
     **dict.fromkeys(("light", "lights"), _one_of(_lights)),
     **dict.fromkeys(("exposure_from", "renderer"), _one_of(lambda: [picture(), renderer()])),
@@ -218,7 +202,7 @@ OBJECTS = {
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
     **dict.fromkeys(("eye", "target", "up", "direction", "tangents", "background"), _VECTORS),
     **dict.fromkeys(("n", "k", "values", "radiance_rgb"), _VECTORS),
-}
+}  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
 
 
@@ -272,15 +256,10 @@ MADE_BY_THE_LIBRARY |= {"ToleranceError", "WarpdiffWarning"}
 # ``self`` where it is not fuzzed, by a call, and the arguments whose strategy it takes where it is.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
-    "Material": lambda: wd.Material.metal("Au"),
-    "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
-    "HeightField": lambda: WAVY,
-    "Image": picture,
-    "Renderer": renderer,
-    "View": lambda: VIEW,
-    "BakedLobes": lobes,
+    "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
+    "HeightField": lambda: WAVY, "Image": picture, "Renderer": renderer, "View": lambda: VIEW, "BakedLobes": lobes,
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
-}
+}  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
 # Legal arguments that go with a fuzzed one; those of functions override those of all.
 LEGAL = {

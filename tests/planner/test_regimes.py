@@ -39,14 +39,9 @@ class Case:
     def neighbours(self, **keywords):
         wavelengths, weights = methods.fixed_steps(1.0)
         rho = methods.series_reflectance(
-            self.heightfield,
-            self.lights,
-            self.views,
-            1e-3 * wavelengths,
-            sigma=self.coherence.sigma_um,
-            neighbour_extent=1,
-            **keywords,
-        )
+            self.heightfield, self.lights, self.views, 1e-3 * wavelengths, sigma=self.coherence.sigma_um,
+            neighbour_extent=1, **keywords,
+        )  # fmt: skip
         return self.error_of(rho @ weights)
 
 

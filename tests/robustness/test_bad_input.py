@@ -1,7 +1,5 @@
 """Bad input: one row per input, with the message it gets, before any kernel runs and before any file is changed."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math
@@ -209,16 +207,12 @@ PLANS = [
     ("lambda_min_nm", 0.0, "lambda_min_nm must be a finite number, at least 100"),
     ("subdivisions", 0, "subdivisions must be an integer, at least 1, got 0"),
     ("wavelengths", 1, "wavelengths must be an integer, at least 2, got 1"),
-    (
-        "method",
-        "auto",
-        "method must be one of 'low-rank', 'power', 'taylor', 'taylor-uncentred', 'jacobi-anger', ",
-    ),
+    ("method", "auto", "method must be one of 'low-rank', 'power', 'taylor', 'taylor-uncentred', 'jacobi-anger', "),
     ("tolerance", 2.0, "tolerance must be a finite number"),
     ("errors", [1.0], r"errors must be a pair of numbers, got \[1.0\]"),
     ("validation_size", -1, "validation_size must be an integer, at least 0, got -1"),
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
-]
+]  # fmt: skip
 
 # What the descriptions of the options do not say.
 SAVES = [

@@ -1,7 +1,5 @@
 """Damaged mesh files are refused by one error with their path; a lost texture is reported by its name."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -52,15 +50,13 @@ def too_large(folder):
 
 @pytest.mark.parametrize(
     ("make", "message"),
-    [
-        (lambda _: None, r"'.*mesh\.obj' refers to 'paint\.png', which is ignored: the file does not exist"),
-        (no_image, r"refers to 'paint\.png', which is ignored: Pillow cannot read it as an image"),
-        (too_large, r"refers to 'paint\.png', which is ignored: Image size .* exceeds limit"),
-        (damaged, r"texture 'paint\.png' is damaged and ignored: .*truncated"),
-        (spoilt, r"texture 'paint\.png' is damaged and ignored: broken PNG file"),
-    ],
+    [(lambda _: None, r"'.*mesh\.obj' refers to 'paint\.png', which is ignored: the file does not exist"),
+     (no_image, r"refers to 'paint\.png', which is ignored: Pillow cannot read it as an image"),
+     (too_large, r"refers to 'paint\.png', which is ignored: Image size .* exceeds limit"),
+     (damaged, r"texture 'paint\.png' is damaged and ignored: .*truncated"),
+     (spoilt, r"texture 'paint\.png' is damaged and ignored: broken PNG file")],
     ids=["missing", "no-image", "too-large", "cut-off", "broken"],
-)
+)  # fmt: skip
 def test_a_lost_texture_is_reported_and_the_plain_colour_stands_in(tmp_path, make, message):
     (tmp_path / "mesh.obj").write_text(OBJ)
     (tmp_path / "paint.mtl").write_text(MTL)

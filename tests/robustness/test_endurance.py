@@ -1,7 +1,5 @@
 """What takes minutes: memory over thousands of calls, and processes that compile the same kernels at once."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import resource

@@ -1,7 +1,5 @@
 """Where NumPy is told to raise, what is right does not: what vanishes is zero. And what is too much is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

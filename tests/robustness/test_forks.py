@@ -1,7 +1,5 @@
 """Processes that are forked, or spawned, from one that renders: each draws the same picture, or says that it cannot."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import multiprocessing

@@ -1,7 +1,5 @@
 """Fuzzed arguments of the command line: documented exit codes, one line that says what is wrong, no traceback."""
 
-from __future__ import annotations
-
 import argparse
 import functools
 import warnings

@@ -1,7 +1,5 @@
 """Mesh files of every format that are complete and malformed: rendered, or refused by one error with their path."""
 
-from __future__ import annotations
-
 import os
 import re
 import warnings

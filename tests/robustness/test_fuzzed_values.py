@@ -1,7 +1,5 @@
 """Fuzzed arguments, one and two at a time, of every public callable: computed, or refused by name."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import signal
@@ -47,20 +45,17 @@ def strategies_of(name):
 
 # Numbers of a result, by its class.
 NUMBERS_OF = {
-    np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [],
-    wp.array: lambda array: [array.numpy()],
+    np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [], wp.array: lambda array: [array.numpy()],
     (float, np.floating): lambda number: [np.array(number)],
-    wd.HeightField: lambda field: [
-        field.heights_um[~field.missing], *map(np.array, (field.pitch_um, field.height_range_um, field.rms_um)),
-        np.array([field.rms_slope, field.mean_slope]),
-    ],
+    wd.HeightField: lambda field: [field.heights_um[~field.missing],
+                                   *map(np.array, (field.pitch_um, field.height_range_um, field.rms_um)),
+                                   np.array([field.rms_slope, field.mean_slope])],
     wd.Image: lambda image: [image.xyz, image.error, image.coverage],
     wd.OrderEfficiencies: lambda orders: [orders.efficiencies],
     trimesh.Trimesh: lambda mesh: [mesh.vertices.view(np.ndarray), mesh.vertex_normals, mesh.visual.uv],
     wd.BakedLobes: lambda lobes: [lobes.functions, lobes.zeroth, lobes.coefficients],
     wd.BakedSpectrum: lambda spectrum: [spectrum.powers, spectrum.functions, spectrum.zeroth],
-    wd.Renderer: lambda renderer: numbers_of(renderer.image()),
-    str: lambda _: [],
+    wd.Renderer: lambda renderer: numbers_of(renderer.image()), str: lambda _: [],
     Sequence: lambda items: [array for item in items for array in numbers_of(item)],
 }  # fmt: skip
 

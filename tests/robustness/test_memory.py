@@ -1,7 +1,5 @@
 """What takes more memory than there is, is refused before work begins, and what fits is not."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -189,16 +187,11 @@ def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
 
 @pytest.mark.parametrize(
     ("own", "folder", "files"),
-    [
-        ("0::/job/step\n", "job", {"max": 3000, "current": 2500, "stat": "anon 2000\ninactive_file 400\n"}),
-        (
-            "9:cpu:/job\n8:memory:/elsewhere\n0::/\n",
-            "memory",
-            {"limit_in_bytes": 3000, "usage_in_bytes": 2500, "stat": "inactive_file 1\ntotal_inactive_file 400\n"},
-        ),
-    ],
+    [("0::/job/step\n", "job", {"max": 3000, "current": 2500, "stat": "anon 2000\ninactive_file 400\n"}),
+     ("9:cpu:/job\n8:memory:/elsewhere\n0::/\n", "memory",
+      {"limit_in_bytes": 3000, "usage_in_bytes": 2500, "stat": "inactive_file 1\ntotal_inactive_file 400\n"})],
     ids=["version 2, of a group above", "version 1, in a container"],
-)
+)  # fmt: skip
 def test_what_a_container_may_take_is_what_there_is(own, folder, files, tmp_path, monkeypatch):
     (tmp_path / "own").write_text(own)
     (tmp_path / "job" / "step").mkdir(parents=True)

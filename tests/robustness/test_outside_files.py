@@ -1,7 +1,5 @@
 """What a mesh file names outside of its own folder, or elsewhere on the net, is not opened."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile
@@ -104,27 +102,18 @@ def test_what_lies_beside_the_mesh_is_read(folders, load, kind):
 @pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
 @pytest.mark.parametrize(
     "files",
-    [
-        {"mesh.obj": OBJ.format(library="../outside.mtl")},
-        {"mesh.obj": OBJ.format(library="{watched}/outside.mtl")},
-        {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("../outside.png")},
-        {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("{watched}/outside.png")},
-        {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("link.png")},
-        {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material(URL)},
-        {"mesh.obj": OBJ.format(library=URL)},
-        {"mesh.gltf": gltf(image="../outside.png")},
-        {"mesh.gltf": gltf(image="{watched}/outside.png")},
-        {"mesh.gltf": gltf(image="file://{watched}/outside.png")},
-        {"mesh.gltf": gltf(image=URL)},
-        {"mesh.gltf": gltf(buffer="../outside.bin")},
-        {"mesh.gltf": gltf(buffer="file://{watched}/outside.bin")},
-        {"mesh.gltf": gltf(buffer=URL)},
-    ],
-    ids=[
-        *("mtllib-above", "mtllib-absolute", "map-above", "map-absolute", "map-link", "map-url", "mtllib-url"),
-        *("image-above", "image-absolute", "image-file", "image-url", "buffer-above", "buffer-file", "buffer-url"),
-    ],
-)
+    [{"mesh.obj": OBJ.format(library="../outside.mtl")}, {"mesh.obj": OBJ.format(library="{watched}/outside.mtl")},
+     {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("../outside.png")},
+     {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("{watched}/outside.png")},
+     {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material("link.png")},
+     {"mesh.obj": OBJ.format(library="a.mtl"), "a.mtl": material(URL)}, {"mesh.obj": OBJ.format(library=URL)},
+     {"mesh.gltf": gltf(image="../outside.png")}, {"mesh.gltf": gltf(image="{watched}/outside.png")},
+     {"mesh.gltf": gltf(image="file://{watched}/outside.png")}, {"mesh.gltf": gltf(image=URL)},
+     {"mesh.gltf": gltf(buffer="../outside.bin")}, {"mesh.gltf": gltf(buffer="file://{watched}/outside.bin")},
+     {"mesh.gltf": gltf(buffer=URL)}],
+    ids=[*("mtllib-above", "mtllib-absolute", "map-above", "map-absolute", "map-link", "map-url", "mtllib-url"),
+         *("image-above", "image-absolute", "image-file", "image-url", "buffer-above", "buffer-file", "buffer-url")],
+)  # fmt: skip
 def test_nothing_outside_of_the_meshs_folder_is_opened(folders, load, files):
     folder, watched = folders
     for name, text in files.items():

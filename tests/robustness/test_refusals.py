@@ -3,8 +3,6 @@
 ``python tests/robustness/test_refusals.py --write FILE`` writes all messages to a file, for a reader.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import dataclasses
@@ -16,8 +14,11 @@ import shlex
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from warpdiff.core.options import Option
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -32,11 +33,6 @@ from warpdiff.apps.viewer import command, controls
 from warpdiff.core.options import describe
 from warpdiff.core.wording import spelled
 from warpdiff.request.settings import SinglePictureSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from warpdiff.core.options import Option
 
 
 class Row(NamedTuple):
@@ -139,8 +135,7 @@ def python_rows() -> Iterator[Row]:
 FILES = ["--heightfield", "a.npy", "--pitch-um", "0.1"]
 COMMANDS = {
     "render": ["disc", *FILES, "-o", "a.png"], "sequence": ["disc", *FILES, "-o", "frames"],
-    "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES,
-    "view": [], "demo": [],
+    "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES, "view": [], "demo": [],
 }  # fmt: skip
 # Arguments that go with a flag, instead of those of its command or with them.
 INSTEAD = {"extent_um": FILES[:2], "height_range_um": ["--heightfield", "integers.npy", *FILES[2:]]}
@@ -296,8 +291,7 @@ LINES = {
     "render tube:foo=3 --heightfield cd -o a.png": "MESH 'tube:foo=3' must have parameters name=value, of radius, leng",
     "sequence … --turns nan": "--turns must be a finite number, at least -1e+06 and at most 1e+06, got nan",
     "sequence … --light-to 0 0 1 --turns 2": "--turns: not allowed with argument --light-to",
-    "export-html a.txt": "OUT must end in .html or .htm, got 'a.txt'",
-    "view no.obj": "MESH: there is no file 'no.obj'",
+    "export-html a.txt": "OUT must end in .html or .htm, got 'a.txt'", "view no.obj": "MESH: there is no file 'no.obj'",
     "view --heightfield no.png": "--heightfield: there is no file 'no.png'",
     "view --port -1": "--port must be 0 to 65535, got -1",
     "demo --scale 0": "--scale must be a finite number, more than 0, got 0.0",

@@ -1,7 +1,5 @@
 """Signals end the command line soon, with the right exit code and with nothing left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

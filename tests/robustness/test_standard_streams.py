@@ -1,7 +1,5 @@
 """The command line where standard streams are closed, full, read no further, or cannot hold every character."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Controls of the page: they follow the descriptions of options, and errors name them by their labels."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -52,16 +50,14 @@ def test_controls_are_described_by_the_keys_of_json_schema():
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [
-        ({"sigma_um": "x"}, "σ must be a number, got str"),
-        ({"sigma_um": 0.5}, "σ must be a finite number, at least 1 and at most 100, got 0.5"),
-        ({"smooth": 1}, "smooth normals must be True or False, got 1"),
-        ({"tolerance": 0.2}, "tolerance must be one of '1e-1', '3e-2', '1e-2', got 0.2"),
-        ({"surface": ["fingers"]}, "height field must be one of 'h.npy', 'nano-fingers', "),
-        ({"sigma": 2.0}, "there is no control 'sigma'"),
-        ([], "the values of the controls must be a JSON object"),
-    ],
-)
+    [({"sigma_um": "x"}, "σ must be a number, got str"),
+     ({"sigma_um": 0.5}, "σ must be a finite number, at least 1 and at most 100, got 0.5"),
+     ({"smooth": 1}, "smooth normals must be True or False, got 1"),
+     ({"tolerance": 0.2}, "tolerance must be one of '1e-1', '3e-2', '1e-2', got 0.2"),
+     ({"surface": ["fingers"]}, "height field must be one of 'h.npy', 'nano-fingers', "),
+     ({"sigma": 2.0}, "there is no control 'sigma'"),
+     ([], "the values of the controls must be a JSON object")],
+)  # fmt: skip
 def test_wrong_values_are_refused_by_the_labels_of_their_controls(values, message):
     with pytest.raises((ValueError, TypeError)) as error:
         checked(KNOWN, values)
@@ -70,21 +66,19 @@ def test_wrong_values_are_refused_by_the_labels_of_their_controls(values, messag
 
 @pytest.mark.parametrize(
     ("name", "value", "expected", "values"),
-    [
-        ("tolerance", None, "tolerance", {}),
-        ("sigma_um", None, "σ", {}),
-        ("spacing_um[1]", None, "spacing along x", {"surface": "bumps"}),
-        ("spacing_um", None, "spacing", {"surface": "bumps"}),
-        ("length_um", None, "length along y", {"surface": "bumps"}),
-        ("length_um", None, "length", {"surface": "disc"}),
-        ("kind", "'replicas'", "coherence = replicas", {}),
-        ("angular_diameter_deg", None, "angular diameter of the source", {"coherence": "source"}),
-        ("lights[1].power", None, "power of the light", {"light": "point", "environment": "file 0"}),
-        ("lights[0].to_light", None, "direction of the light", {}),
-        ("lights", None, "light", {}),
-        ("heightfield", None, "height field", {}),
-        ("filled()", None, "filled()", {}),
-    ],
-)
+    [("tolerance", None, "tolerance", {}),
+     ("sigma_um", None, "σ", {}),
+     ("spacing_um[1]", None, "spacing along x", {"surface": "bumps"}),
+     ("spacing_um", None, "spacing", {"surface": "bumps"}),
+     ("length_um", None, "length along y", {"surface": "bumps"}),
+     ("length_um", None, "length", {"surface": "disc"}),
+     ("kind", "'replicas'", "coherence = replicas", {}),
+     ("angular_diameter_deg", None, "angular diameter of the source", {"coherence": "source"}),
+     ("lights[1].power", None, "power of the light", {"light": "point", "environment": "file 0"}),
+     ("lights[0].to_light", None, "direction of the light", {}),
+     ("lights", None, "light", {}),
+     ("heightfield", None, "height field", {}),
+     ("filled()", None, "filled()", {})],
+)  # fmt: skip
 def test_arguments_are_named_by_the_labels_of_their_controls(name, value, expected, values):
     assert word(KNOWN, VALUES | values)(name, value) == expected

@@ -3,8 +3,6 @@
 Pages are driven by their controls, and what is compared are the pixels on their canvas.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

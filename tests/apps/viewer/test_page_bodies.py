@@ -1,7 +1,5 @@
 """Bodies of the viewer: the disk cache of sample bodies, framing, and local directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

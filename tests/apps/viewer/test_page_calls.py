@@ -1,7 +1,5 @@
 """Calls for the values of a page: those that are made, written as Python and written as a command line are the same."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import shlex

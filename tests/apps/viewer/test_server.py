@@ -1,7 +1,5 @@
 """The viewer's server against requests that no page sends: nothing unnamed is served, and nothing piles up."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

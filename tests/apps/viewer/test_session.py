@@ -1,7 +1,5 @@
 """The thread that draws for the viewer's pages: finer and finer, the newest first, and never for nobody."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math
@@ -98,10 +96,7 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    values = checked(
-        known,
-        dict(VALUES) | {"environment_directions": 256, "shadows": False, "light": "none"},
-    )
+    values = checked(known, dict(VALUES) | {"environment_directions": 256, "shadows": False, "light": "none"})
     studio = Studio(files, values, threads=1)
     with Page(studio) as page:
         rotated = values | {"environment_rotation_deg": 90.0, "environment_scale": 2.0}
