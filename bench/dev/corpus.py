@@ -203,16 +203,18 @@ def _numbers_in(value: Any) -> list[float]:
 # Pictures.
 
 
+def picture(
+    body: Callable[[], Any], surface: Callable[[], Any], view: Any, lights: Any = ABOVE, **options: Any
+) -> Case:
+    """A case that draws a surface on a body."""
+    return lambda threads: image_values(
+        wd.shade(body(), lights=lights, heightfield=surface(), view=view, threads=threads, **options)
+    )
+
+
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
     """A case that draws fingers on the tube."""
-
-    def draw(threads: int) -> Values:
-        picture = wd.shade(
-            tube(), lights=lights, heightfield=fingers(), view=view or tube_view(), threads=threads, **options
-        )
-        return image_values(picture)
-
-    return draw
+    return picture(tube, fingers, view or tube_view(), lights, **options)
 
 
 def sampled_picture(method: str) -> Case:
@@ -220,23 +222,6 @@ def sampled_picture(method: str) -> Case:
     return tube_picture(
         method=method, integration="sampled", refine=False, footprint=False, view=tube_view(**SMALL), tolerance=3e-2
     )
-
-
-def snake_picture(threads: int) -> Values:
-    """The snake: its texture, two lights, shadows, scales that overlap, and all layers."""
-    view = wd.View((0.5, 1.1, 1.2), (0.1, 0.0, 0.2), fov_y_deg=20.0, **SIZE)
-    layers = ("normal", "depth", "geometry")
-    return image_values(
-        wd.shade(wd.meshes.snake(), fingers(), [ABOVE, SIDE], view, threads=threads, layers=layers, tolerance=3e-2)
-    )
-
-
-def box_picture(threads: int) -> Values:
-    """Facets and a texture, under parallel camera rays."""
-    light = wd.DirectionalLight((0.5, 1.0, 1.5), illuminant="FL11")
-    track = wd.gratings.disc("CD", tracks=4, length_um=12.8, pitch_um=0.09)
-    image = wd.shade(box(), track, light, box_view(), smooth=False, pigment=300.0, samples_per_pixel=4, threads=threads)
-    return image_values(image)
 
 
 def explicit_tangents(threads: int) -> Values:
@@ -262,25 +247,10 @@ def disc_view(**size: int) -> Any:
     return wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **(size or SIZE))
 
 
-def periods_picture(threads: int) -> Values:
-    """A few periods of a grating, on a disc."""
-    coherence = wd.Coherence("replicas", periods=(1, 10))
-    grating = wd.gratings.lamellar(2.5, 0.14)
-    return image_values(wd.shade(wd.meshes.disc(), grating, ABOVE, disc_view(), coherence=coherence, threads=threads))
-
-
-def direct_picture(threads: int) -> Values:
-    """A few pixels by the direct sum."""
-    grating = wd.gratings.sinusoidal(2.5, 0.14)
-    options = {"method": "direct", "coherence": wd.Coherence(sigma_um=4.0), "tolerance": 1e-1, "threads": threads}
-    return image_values(wd.shade(wd.meshes.disc(), grating, ABOVE, disc_view(width=12, height=9), **options))
-
-
 def successive_pictures(threads: int) -> Values:
     """Two pictures of one renderer; lights and view change."""
-    renderer = wd.Renderer(
-        tube(), heightfield=fingers(), lights=ABOVE, view=tube_view(), tolerance=3e-2, threads=threads
-    )
+    options = {"lights": ABOVE, "view": tube_view(), "tolerance": 3e-2, "threads": threads}
+    renderer = wd.Renderer(tube(), heightfield=fingers(), **options)
     first = image_values(renderer.image())
     view = wd.View((0.4, 1.2, 2.0), (0.0, 0.0, 0.0), fov_y_deg=27.0, **SIZE)
     renderer.draw(lights=[SIDE, ABOVE], view=view)
@@ -306,12 +276,6 @@ def resized_renderer(threads: int) -> Values:
 
 
 # Lights.
-
-
-def point_light(threads: int) -> Values:
-    """A point light near the box, with shadows, next to a directional light."""
-    lights = [wd.PointLight((1.2, 1.4, 0.4), power=2.0, illuminant="FL2"), SIDE]
-    return image_values(wd.shade(two_geometries(), fingers(), lights, tube_view(), tolerance=1e-1, threads=threads))
 
 
 def sky_picture(*, with_sun: bool, **options: Any) -> Case:
@@ -635,20 +599,41 @@ CASES: dict[str, Case] = {
     "four subpixel cells": tube_picture(tolerance=1e-1, samples_per_pixel=4), "points": tube_picture(footprint=False),
     "sixteen points per pixel": tube_picture(footprint=False, samples_per_pixel=16),
     "centred window": tube_picture(coherence=wd.Coherence("centred"), view=tube_view(**SMALL)),
-    "source": tube_picture(tolerance=1e-1, coherence=SOURCE), "periods": periods_picture, "direct sum": direct_picture,
+    "source": tube_picture(tolerance=1e-1, coherence=SOURCE),
+    "periods": picture(
+        wd.meshes.disc, lambda: wd.gratings.lamellar(2.5, 0.14), disc_view(),
+        coherence=wd.Coherence("replicas", periods=(1, 10)),
+    ),
+    "direct sum": picture(
+        wd.meshes.disc, lambda: wd.gratings.sinusoidal(2.5, 0.14), disc_view(width=12, height=9), method="direct",
+        coherence=wd.Coherence(sigma_um=4.0), tolerance=1e-1,
+    ),
     **{f"{method}, sampled": sampled_picture(method) for method in SAMPLED_METHODS},
     "table of powers": tube_picture(method="power", integration="table", tolerance=1e-1),
     "sampled footprints": tube_picture(
         method="low-rank", integration="sampled", view=tube_view(**SMALL), tolerance=1e-1
     ),
-    "snake": snake_picture, "box": box_picture, "explicit tangents": explicit_tangents, "renderer": successive_pictures,
+    # Texture, two lights, shadows, scales that overlap, and all layers.
+    "snake": picture(
+        wd.meshes.snake, fingers, wd.View((0.5, 1.1, 1.2), (0.1, 0.0, 0.2), fov_y_deg=20.0, **SIZE), [ABOVE, SIDE],
+        layers=("normal", "depth", "geometry"), tolerance=3e-2,
+    ),
+    # Facets and a texture, under parallel camera rays.
+    "box": picture(
+        box, lambda: wd.gratings.disc("CD", tracks=4, length_um=12.8, pitch_um=0.09), box_view(),
+        wd.DirectionalLight((0.5, 1.0, 1.5), illuminant="FL11"), smooth=False, pigment=300.0, samples_per_pixel=4,
+    ),
+    "explicit tangents": explicit_tangents, "renderer": successive_pictures,
     "few directions": direction_colours(50, wd.Coherence()),
     "many directions": direction_colours(40_000, wd.Coherence(), illuminant="FL2", tolerance=3e-2),
     "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2), "spectra": spectra,
     "maps": maps, "surfaces": surfaces,
     # Added with version 0.2.
     "explicit plan": explicit_plan, "previews": previews, "resized renderer": resized_renderer,
-    "point light": point_light,
+    "point light": picture(
+        two_geometries, fingers, tube_view(), [wd.PointLight((1.2, 1.4, 0.4), power=2.0, illuminant="FL2"), SIDE],
+        tolerance=1e-1,
+    ),
     "disc light": tube_picture(
         wd.DirectionalLight((0.1, 0.9, 1.2), angular_diameter_deg=3.0), tolerance=1e-1, view=tube_view(**MEDIUM)
     ),

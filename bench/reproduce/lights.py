@@ -108,41 +108,31 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
     return between.join(f"{100.0 * value:.1f} %" for value in np.percentile(errors, [50.0, 90.0, 99.0]))
 
 
-def sizes(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of disc lights in random cases against sums over points of the disc."""
-    rng = np.random.default_rng(seed + 2)
-    print(COLUMNS.format("light"))
-    for index, (case, _, mesh, heightfield, view, sigma_um) in enumerate(random_cases(seed)):
+def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
+    """Print errors of disc lights ("light") or environments ("sky") in random cases against sums over directions.
+
+    There are ``across``² rays per pixel or more. Further columns are the error of the sums, ``image.error`` at the same
+    percentiles, the number of pixels beyond the tolerance for which ``image.error`` exceeds it, too, and the time of a
+    frame.
+    """
+    rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
+    print(COLUMNS.format(kind))
+    for index, (name, grey, mesh, heightfield, view, sigma_um) in enumerate(random_cases(seed)):
         window = wd.Coherence(sigma_um=sigma_um)
+        options = {"mesh": mesh, "heightfield": heightfield, "view": view, "coherence": window}
         sums = SkySums(mesh, heightfield, view, window)
         inside = rng.permutation(sums.interior())[:pixels]
+        if kind == "sky":
+            options["lights"] = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
+            _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options=options)
+            continue
         # Light from near the eye, or from the side.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]
-        light = wd.DirectionalLight(tuple(towards), angular_diameter_deg=degrees)
-        name = f"{degrees:g}° | {case.split(' | ')[1]}"
-        _judge(name, inside, functools.partial(sums.under_disc, light=light), across, seed, tolerances, options={
-            "mesh": mesh, "heightfield": heightfield, "lights": light, "view": view, "coherence": window,
-        })  # fmt: skip
-
-
-def skies(seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of environments against sums over directions, by at least ``across``² rays per pixel.
-
-    Further columns are the error of the sums, ``image.error`` at the same percentiles, the number of pixels beyond the
-    tolerance for which ``image.error`` exceeds it, too, and the time of a frame.
-    """
-    rng = np.random.default_rng(seed + 1)
-    print(COLUMNS.format("sky"))
-    for name, grey, mesh, heightfield, view, sigma_um in random_cases(seed):
-        window = wd.Coherence(sigma_um=sigma_um)
-        sums = SkySums(mesh, heightfield, view, window)
-        environment = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
-        inside = rng.permutation(sums.interior())[:pixels]
-        _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options={
-            "mesh": mesh, "heightfield": heightfield, "lights": environment, "view": view, "coherence": window,
-        })  # fmt: skip
+        light = options["lights"] = wd.DirectionalLight(tuple(towards), angular_diameter_deg=degrees)
+        title, summed = f"{degrees:g}° | {name.split(' | ')[1]}", functools.partial(sums.under_disc, light=light)
+        _judge(title, inside, summed, 32 * across, seed, tolerances, options=options)
 
 
 def _judge(
@@ -221,10 +211,9 @@ def main() -> int:
         picture(options.picture)
         return 0
     every = not (options.sizes or options.skies)
-    if options.sizes or every:
-        sizes(options.seed, options.pixels, 32 * options.across, options.tolerances)
-    if options.skies or every:
-        skies(options.seed, options.pixels, options.across, options.tolerances)
+    for kind, wanted in (("light", options.sizes), ("sky", options.skies)):
+        if wanted or every:
+            against_sums(kind, options.seed, options.pixels, options.across, options.tolerances)
     return 0
 
 

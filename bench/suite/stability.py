@@ -136,8 +136,11 @@ def height_range(which: slice = ALL) -> Panel:
         heightfield = wd.HeightField.of_known_scale(flat.heights_um * (height / flat.height_range_um), flat.pitch_um)
         exact = reference.reference_spectral(heightfield, lights, views, WAVELENGTHS_UM, window)
         request = {
-            "heightfield": heightfield, "to_light": lights, "to_view": views, "wavelengths_nm": 1e3 * WAVELENGTHS_UM,
-        }  # fmt: skip
+            "heightfield": heightfield,
+            "to_light": lights,
+            "to_view": views,
+            "wavelengths_nm": 1e3 * WAVELENGTHS_UM,
+        }
         for name, label in SERIES.items():
             singles = methods.best_effort(
                 wd.spectral_reflectance, **request, coherence=window, method=name, tolerance=FINEST
