@@ -174,7 +174,7 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
     assert "warning: --periodic changed heights" in capsys.readouterr().err
 
 
-@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 @pytest.mark.parametrize(
     "arguments",
     [BRDF, "render tube --heightfield blazed -o tube.exr", "demo"],
@@ -256,7 +256,7 @@ def run_without_home(code, folder, **environment):
     return subprocess.run(command, cwd=folder, env=names, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 def test_a_user_without_a_home_is_served(tmp_path):
     done = run_without_home(
         "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
@@ -268,7 +268,7 @@ def test_a_user_without_a_home_is_served(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     (tmp_path / "file").touch()
     code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', '--heightfield', 'lamellar']))"

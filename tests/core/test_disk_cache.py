@@ -12,7 +12,7 @@ from endurance import count
 import warpdiff as wd
 from warpdiff.core import disk_cache
 
-ROW = "files of the cache: damaged, left by killed processes"
+ROW = "cache files: damaged, or left by killed processes"
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 
 

@@ -114,7 +114,7 @@ def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
     _pool.cache_clear()
 
 
-@pytest.mark.permanent("varied calls and thread counts: memory and threads that stay")
+@pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant")
 def test_threads_do_not_pile_up(tries):
     """Whatever numbers of them were asked for."""
     before = threading.active_count()

@@ -398,7 +398,7 @@ def test_bad_input_is_refused(tube, fingers, plans):
     same(drawn.image(), before)
 
 
-@pytest.mark.permanent("threads that render at once")
+@pytest.mark.permanent("concurrent rendering threads")
 def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries):
     views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)

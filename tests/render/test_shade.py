@@ -410,7 +410,7 @@ def test_progress_grows_to_one(options, snake, fingers):
     assert seen[-1] == 1.0
 
 
-@pytest.mark.permanent("forks, pools, callbacks that render or raise")
+@pytest.mark.permanent("forks, process pools, callbacks that render or raise")
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_progress_may_render_or_fail(threads):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
@@ -438,7 +438,7 @@ def test_progress_may_render_or_fail(threads):
         np.testing.assert_array_equal(each, expected)
 
 
-@pytest.mark.permanent("threads that render at once", shares=2)
+@pytest.mark.permanent("concurrent rendering threads", shares=2)
 def test_threads_that_render_at_once_draw_the_same(tries):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=2)
     mesh, light = wd.meshes.tube(segments_along=24, segments_around=16), wd.DirectionalLight((0.1, 0.9, 1.2))

@@ -42,7 +42,7 @@ def varied(rng):
     return wd.shade(mesh, heightfield, wd.DirectionalLight((0.1, 0.9, 1.2)), view, **options)
 
 
-@pytest.mark.permanent("varied calls and thread counts: memory and threads that stay", shares=20)
+@pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant", shares=20)
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 def test_memory_does_not_grow(rng, tries):
     def taken():
@@ -59,7 +59,7 @@ def test_memory_does_not_grow(rng, tries):
 PICTURE = "import hashlib, test_forks as t; print(hashlib.sha256(t.picture().tobytes()).hexdigest())"
 
 
-@pytest.mark.permanent("processes that begin at once with empty caches")
+@pytest.mark.permanent("concurrent processes that start with empty caches")
 def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
     import test_forks
 

@@ -27,7 +27,7 @@ if not hasattr(os, "fork"):
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
-    pytest.mark.permanent("forks, pools, callbacks that render or raise"),
+    pytest.mark.permanent("forks, process pools, callbacks that render or raise"),
 ]
 _MOST_S = 90.0
 HERE = Path(__file__).parent

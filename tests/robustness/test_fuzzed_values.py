@@ -129,7 +129,7 @@ def check(name, fuzzed):
     assert not message or re.search(rf"\b({'|'.join(names)})\b", message), message
 
 
-@pytest.mark.permanent("fuzzed arguments", shares=3)
+@pytest.mark.permanent("fuzzed arguments (extreme or invalid values)", shares=3)
 @pytest.mark.parametrize("name", [name for name in PUBLIC if strategies_of(name)])
 def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
     strategies = strategies_of(name)

@@ -87,7 +87,7 @@ def test_files_beside_the_mesh_are_read(folder, kind):
     assert has_colour
 
 
-@pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+@pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 @pytest.mark.parametrize("files", OUTSIDE.values(), ids=OUTSIDE)
 def test_nothing_outside_of_the_meshs_folder_is_opened(folder, files):
     for name, text in files.items():

@@ -10,7 +10,7 @@ import pytest
 if os.name != "posix":
     pytest.skip("these streams are POSIX", allow_module_level=True)
 
-pytestmark = pytest.mark.permanent("streams that are closed, full or ASCII; no home; what a mesh names elsewhere")
+pytestmark = pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 
 
 def in_shell(command, folder, **environment):
