@@ -23,7 +23,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 MOST_BYTES = 4 << 30
 MOST_S = 20
-EVIL_NUMBERS = [
+EXTREME_NUMBERS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"2147483648", b"99999999999999999999", b"/etc/passwd",
 ]  # fmt: skip
 
@@ -61,7 +61,7 @@ def meshes():
 
 
 def read_scan(path):
-    """Whatever of the two it takes."""
+    """A height field from a scan of either kind."""
     integers = re.search("uint|i4", path.name)
     heightfield = wd.HeightField.load(
         path, pitch_um=None if path.suffix == ".npz" else 0.1, height_range_um=0.3 if integers else None
@@ -99,20 +99,20 @@ def mutant(content, rng):
                 numbers = list(re.finditer(rb"[-+.\deE]+", bytes(content)))
                 if numbers:
                     begin, end = numbers[rng.integers(len(numbers))].span()
-                    content[begin:end] = EVIL_NUMBERS[rng.integers(len(EVIL_NUMBERS))]
+                    content[begin:end] = EXTREME_NUMBERS[rng.integers(len(EXTREME_NUMBERS))]
     return bytes(content)
 
 
 def watch(folder, wrong):
     """Note what is opened beyond the folder, but for Python's modules and what tells how much memory there is."""
-    allowed = [folder, *(Path(each).resolve() for each in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
+    allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
 
     def hook(event, arguments):
         if event.startswith(("socket.", "urllib.", "subprocess.", "os.system")):
             wrong.append(event)
         if event == "open" and isinstance(arguments[0], (str, bytes)):
             path = Path(str(arguments[0])).resolve()
-            if not any(path.is_relative_to(each) for each in allowed):
+            if not any(path.is_relative_to(parent) for parent in allowed):
                 wrong.append(f"opens {path}")
 
     sys.addaudithook(hook)
@@ -143,7 +143,7 @@ def main(kind, seed, count, seconds, folder):
             read(path)
         except (ValueError, OSError, MemoryError) as error:
             # A mesh's error names the mesh, whichever of its files is damaged.
-            if not any(each.stem in str(error) for each in sound):
+            if not any(file.stem in str(error) for file in sound):
                 wrong.append(f"{tried - 1}: {path}: {error!r}")
         except Exception as error:
             wrong.append(f"{tried - 1}: {path}: {error!r}")

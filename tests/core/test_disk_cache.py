@@ -19,9 +19,9 @@ HEIGHTS = np.arange(12.0).reshape(3, 4)
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder for it, and everything worth keeping."""
-    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
-    return tmp_path / "kept"
+    return tmp_path / "cache"
 
 
 def counted(value):
@@ -177,9 +177,9 @@ def test_it_can_be_turned_off_and_may_fail(tmp_path, monkeypatch):
 
 
 def test_what_is_fast_is_not_kept(tmp_path, monkeypatch):
-    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
-    assert not (tmp_path / "kept").exists()
+    assert not (tmp_path / "cache").exists()
 
 
 @pytest.mark.permanent(ROW)

@@ -1,4 +1,4 @@
-"""What takes minutes: memory over thousands of calls, and processes that compile the same kernels at once."""
+"""Tests of minutes: memory over thousands of calls, and processes that compile the same kernels at once."""
 
 import hashlib
 import os
@@ -45,15 +45,15 @@ def varied(rng):
 @pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant", shares=20)
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 def test_memory_does_not_grow(rng, tries):
-    def taken():
+    def resident_bytes():
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
     for _ in range(200):
         varied(rng)
-    before = taken()
+    before = resident_bytes()
     for _ in tries.of(range(2000)):
         varied(rng)
-    assert taken() - before < MOST_GROWTH
+    assert resident_bytes() - before < MOST_GROWTH
 
 
 PICTURE = "import hashlib, test_forks as t; print(hashlib.sha256(t.picture().tobytes()).hexdigest())"
@@ -63,11 +63,11 @@ PICTURE = "import hashlib, test_forks as t; print(hashlib.sha256(t.picture().tob
 def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
     import test_forks
 
-    folders = {"WARP_CACHE_PATH": str(tmp_path / "kernels"), "WARPDIFF_CACHE_DIR": str(tmp_path / "kept")}
+    folders = {"WARP_CACHE_PATH": str(tmp_path / "kernels"), "WARPDIFF_CACHE_DIR": str(tmp_path / "cache")}
     tries.number = 8
     running = [
         subprocess.Popen([sys.executable, "-c", PICTURE], cwd=FOLDER, env=os.environ | folders, stdout=subprocess.PIPE)
         for _ in range(8)
     ]
-    found = {process.communicate(timeout=300)[0].decode().splitlines()[-1] for process in running}
-    assert found == {hashlib.sha256(test_forks.picture().tobytes()).hexdigest()}
+    pictures = {process.communicate(timeout=300)[0].decode().splitlines()[-1] for process in running}
+    assert pictures == {hashlib.sha256(test_forks.picture().tobytes()).hexdigest()}

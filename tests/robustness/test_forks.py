@@ -1,4 +1,4 @@
-"""Processes that are forked, or spawned, from one that renders: each draws the same picture, or says that it cannot."""
+"""Forked and spawned processes of one that renders: each draws the same picture, or says why it cannot."""
 
 import functools
 import importlib
@@ -57,8 +57,8 @@ def in_child(work):
         finally:
             os._exit(code)
     for _ in range(int(_MOST_S / 0.02)):
-        found, status = os.waitpid(child, os.WNOHANG)
-        if found:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
             return os.waitstatus_to_exitcode(status)
         time.sleep(0.02)
     os.kill(child, signal.SIGKILL)
@@ -75,9 +75,9 @@ def test_a_child_draws_what_its_parent_draws():
 def save_on_both_sides_of_forks(folder):
     """Twice, as the second fork finds what the first files have left."""
     colours = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
-    seen, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
+    mask, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
     plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
-    image = wd.Image(xyz=colours, mask=seen, illuminated=seen, coverage=seen.astype(np.float32), error=error, plan=plan)
+    image = wd.Image(xyz=colours, mask=mask, illuminated=mask, coverage=mask.astype(np.float32), error=error, plan=plan)
     for suffix in (".exr", ".png"):
         parents, childs = Path(folder) / f"parent{suffix}", Path(folder) / f"child{suffix}"
         for _ in range(2):
@@ -108,8 +108,8 @@ def test_pools_of_any_method_draw_the_same(method, processes):
     angles = (0.0, 0.3)
     expected = [picture(angle) for angle in angles]
     with multiprocessing.get_context(method).Pool(processes) as pool:
-        found = pool.map_async(picture, angles).get(timeout=_MOST_S)
-    np.testing.assert_array_equal(found, expected)
+        pictures = pool.map_async(picture, angles).get(timeout=_MOST_S)
+    np.testing.assert_array_equal(pictures, expected)
 
 
 def test_forks_while_other_threads_draw():
@@ -121,22 +121,22 @@ def test_forks_while_other_threads_draw():
             picture(0.2)
 
     threads = [threading.Thread(target=draw) for _ in range(2)]
-    for each in threads:
-        each.start()
+    for thread in threads:
+        thread.start()
     try:
         for _ in range(3):
             assert in_child(lambda: np.array_equal(picture(), expected)) == 0
     finally:
         ended.set()
-        for each in threads:
-            each.join()
+        for thread in threads:
+            thread.join()
 
 
 def test_no_cached_property_has_a_lock_of_its_own():
     """Python 3.11's has one for all objects: a child whose parent's threads were computing would wait for ever."""
     sources = sorted(Path(wd.__file__).parent.rglob("*.py"))
-    found = [each for each in sources if re.search(r"functools\b.*cached_property", each.read_text(encoding="utf-8"))]
-    assert found == [Path(forks.__file__)]
+    users = [path for path in sources if re.search(r"functools\b.*cached_property", path.read_text(encoding="utf-8"))]
+    assert users == [Path(forks.__file__)]
 
 
 _WHILE_COMPILING = """
@@ -166,7 +166,7 @@ assert t.in_child(lambda: t.picture().any()) == 0
 """
 
 
-def test_a_child_of_a_process_that_compiles_is_told_to_spawn():
+def test_a_child_of_a_process_that_compiles_must_be_spawned():
     subprocess.run([sys.executable, "-c", _WHILE_COMPILING], cwd=HERE, check=True, timeout=_MOST_S)
 
 
@@ -270,16 +270,16 @@ import os
 import OpenImageIO as oiio
 
 # What is registered first is called last.
-os.register_at_fork(before=lambda: found.append(len(os.listdir("/proc/self/task"))))
+os.register_at_fork(before=lambda: counts.append(len(os.listdir("/proc/self/task"))))
 import warpdiff.core.openimageio
 
 oiio.attribute("threads", 8)
-found = []
+counts = []
 child = os.fork()
 if child == 0:
     os._exit(oiio.get_int_attribute("threads"))
 assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == oiio.get_int_attribute("threads") == 8
-assert found == [1], found
+assert counts == [1], counts
 """
 
 
@@ -287,7 +287,7 @@ assert found == [1], found
 @pytest.mark.parametrize("locks", [{}, {"_module_locks": None}, {"_module_locks": {"warp": object()}}])
 @pytest.mark.parametrize("lock", [None, object()])
 def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(locks, lock, monkeypatch):
-    """Both are private, and another version may have none or others; what is not told is as without this package."""
+    """Both are private, and another version may have none or others; a fork then waits for less."""
     expected = picture()
     private = {name: value for name, value in vars(importlib._bootstrap).items() if name != "_module_locks"}
     monkeypatch.setattr(importlib, "_bootstrap", types.SimpleNamespace(**private, **locks))

@@ -1,4 +1,4 @@
-"""What takes more memory than there is, is refused before work begins, and what fits is not."""
+"""Requests larger than free memory are refused before work begins, and smaller ones are not."""
 
 import dataclasses
 import math
@@ -74,16 +74,16 @@ JUST = """
 from warpdiff.render import shade as render
 
 shade(64)
-taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 needed = render._BYTES_PER_PIXEL * 900**2
-limit(taken + 0.95 * needed)
+limit(used + 0.95 * needed)
 try:
     shade(900)
 except MemoryError as error:
     assert "picture of 900 × 900 pixels" in str(error), error
 else:
     raise AssertionError
-limit(taken + 1.15 * needed)
+limit(used + 1.15 * needed)
 shade(900)
 """
 
@@ -95,8 +95,8 @@ plan = wd.plan(heightfield, coherence=short, method="low-rank", integration="tab
 wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=plan)
 memory.require_memory = lambda *_: None
 fine = dataclasses.replace(plan, azimuths_per_width=300.0)
-taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-limit(taken + (1 << 28))
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+limit(used + (1 << 28))
 try:
     wd.reflectance(heightfield, (0, 0, 1), (0.1, 0.2, 1.0), plan=fine)
 except MemoryError as error:
@@ -112,18 +112,18 @@ else:
     "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
 )
 def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
-    found = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", SETTING + code], cwd=tmp_path,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
-    assert found.returncode == 0, found.stderr
+    assert done.returncode == 0, done.stderr
 
 
 def test_allocations_that_fail_are_told_in_the_librarys_words():
-    said = r"it requires another \S+ GB at once, and \S+ GB are free: take less"
-    with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
+    message = r"it requires another \S+ GB at once, and \S+ GB are free: take less"
+    with pytest.raises(MemoryError, match=message), memory.as_memory_error("it", "take less"):
         np.empty(10**15)
-    with pytest.raises(MemoryError, match=said), memory.as_memory_error("it", "take less"):
+    with pytest.raises(MemoryError, match=message), memory.as_memory_error("it", "take less"):
         wp.empty((2**30, 2**20), dtype=wp.float32, device="cpu")
     with (
         pytest.raises(MemoryError, match="it requires more memory than is free"),

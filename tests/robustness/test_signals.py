@@ -17,19 +17,19 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 @pytest.fixture(autouse=True)
-def _heard():
+def _default_handlers():
     """What runs tests in the background may ignore signals, as nohup does, and processes inherit that."""
-    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGHUP)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
-    for each, handler in before.items():
-        signal.signal(each, handler)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def begun(arguments, folder):
     """A process whose caches and temporary files lie in a folder of their own."""
-    names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "kept", "TMPDIR": "temporary"}
+    names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "cache", "TMPDIR": "temporary"}
     (folder / "temporary").mkdir()
     return subprocess.Popen(
         [sys.executable, *arguments], cwd=folder,
@@ -40,8 +40,8 @@ def begun(arguments, folder):
 
 def left_behind(folder):
     """What is not whole: temporary files, and folders in which kernels are built."""
-    found = [*folder.rglob(".warpdiff-*"), *folder.rglob("*_p*_t*"), *(folder / "temporary").iterdir()]
-    return [path for path in found if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
+    paths = [*folder.rglob(".warpdiff-*"), *folder.rglob("*_p*_t*"), *(folder / "temporary").iterdir()]
+    return [path for path in paths if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
 
 
 # While packages are imported, and while kernels are compiled.

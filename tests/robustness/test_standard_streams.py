@@ -27,7 +27,7 @@ def in_shell(command, folder, **environment):
 
 
 @pytest.mark.parametrize(
-    ("command", "code", "said"),
+    ("command", "code", "error"),
     [
         ("$W info --heightfield nothing.png 2>&-", 2, ""),
         ("$W info --heightfield nothing.png 2>/dev/full", 2, ""),
@@ -40,10 +40,10 @@ def in_shell(command, folder, **environment):
         ("$W --version >/dev/full", 1, "warpdiff: standard output: No space left on device\n"),
     ],
 )
-def test_streams_that_take_nothing(command, code, said, tmp_path):
+def test_streams_that_take_nothing(command, code, error, tmp_path):
     if "/dev/full" in command and not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full")
-    assert in_shell(command, tmp_path) == (code, "", said)
+    assert in_shell(command, tmp_path) == (code, "", error)
 
 
 def test_no_picture_takes_the_place_of_a_closed_stream(tmp_path):
