@@ -121,6 +121,22 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
     assert buffer.write(str(path)), buffer.geterror()
 
 
+def coherence_of(kind: str, sigma_um=None, angular_diameter_deg=3.0, periods=(2, 3)):
+    """A window of some size, a source that is as wide to the eye, or some periods."""
+    import warpdiff as wd
+
+    if kind == "source":
+        return wd.Coherence(kind, angular_diameter_deg=angular_diameter_deg)
+    return wd.Coherence(kind, periods=periods) if kind == "replicas" else wd.Coherence(kind, sigma_um)
+
+
+def noise(shape: tuple[int, int], pitch=(0.1, 0.05)):
+    """A height field of noise."""
+    import warpdiff as wd
+
+    return wd.HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
+
+
 def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Errors (n,) of colours (n, 3), relative to each, or to a thousandth of the luminance of the brightest."""
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import hemisphere
+from conftest import coherence_of, hemisphere
 
 from bench.truth import reference
 from warpdiff import gratings
@@ -34,12 +34,6 @@ REGIMES = {
     "rough": (rough, 16.25, 0.53, (7, 5)), "rough, short window": (rough, 0.8, 20.0, (1, 1)),
 }  # fmt: skip
 KINDS = ["averaged", "centred", "source", "replicas"]
-
-
-def coherence_of(kind, sigma, diameter, periods):
-    if kind == "source":
-        return Coherence(kind, angular_diameter_deg=diameter)
-    return Coherence(kind, periods=periods) if kind == "replicas" else Coherence(kind, sigma)
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
@@ -106,9 +100,8 @@ def resonances(heightfield, lights, views, periods):
         for order in range(1, 40):
             wavelength = u * length / order
             if 0.38 < wavelength < 0.78:
-                illuminated = direct_reflectance(heightfield, light[None], view[None], np.array([wavelength]), periods)[
-                    0, 0
-                ]
+                at = np.array([wavelength])
+                illuminated = direct_reflectance(heightfield, light[None], view[None], at, periods)[0, 0]
                 curve = [np.interp(1e3 * wavelength, np.arange(380, 781), table[:, c]) for c in range(3)]
                 # dλ over a turn, in nm.
                 result[i] += illuminated * np.array(curve) * 1e3 * wavelength**2 / (u * length) / periods.periods[1]

@@ -1,18 +1,14 @@
 """Cleaning: identities of levelling, resampling and the periodic part, despiking, and the real scan."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from conftest import noise
 
 from warpdiff import gratings
 from warpdiff.core.wording import WarpdiffWarning
 from warpdiff.heightfield.field import HeightField
-
-
-def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
-    return HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 5])
@@ -20,9 +16,8 @@ def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
 def test_levelling_removes_polynomials_exactly_and_once(order: int, shape: tuple[int, int]) -> None:
     y, x = (np.linspace(-1.0, 1.0, n) if n > 1 else np.zeros(1) for n in shape)
     rng = np.random.default_rng(3)
-    polynomial = sum(
-        (rng.normal() * np.outer(y**i, x**j) for i in range(order + 1) for j in range(order + 1 - i)), np.zeros(shape)
-    )
+    powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    polynomial = sum((rng.normal() * np.outer(y**i, x**j) for i, j in powers), np.zeros(shape))
     rough = noise(shape)
     once = rough.levelled(order)
     tilted = HeightField.of_known_scale(rough.heights_um + 100.0 * polynomial, rough.pitch_um)
@@ -65,9 +60,8 @@ def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() ->
     x = np.arange(60) / 60.0
     slow, fast = np.cos(2.0 * np.pi * (3.0 * x + 0.1)), np.cos(2.0 * np.pi * 25.0 * x)
     coarse = HeightField.of_known_scale((slow + fast)[None, :], 1.0 / 60.0).resampled(1.0 / 20.0)
-    np.testing.assert_allclose(
-        coarse.heights_um[0], np.cos(2.0 * np.pi * (3.0 * np.arange(20) / 20.0 + 0.1)), atol=1e-14
-    )
+    expected = np.cos(2.0 * np.pi * (3.0 * np.arange(20) / 20.0 + 0.1))
+    np.testing.assert_allclose(coarse.heights_um[0], expected, atol=1e-14)
     assert coarse.pitch_um == (1.0 / 60.0, pytest.approx(1.0 / 20.0))
 
 
@@ -75,9 +69,8 @@ def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() ->
 def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
     # A term of frequency ±n/2 must come out as the samples of the wave, whatever its sign.
     x = np.arange(24) / 24.0
-    coarse = HeightField.of_known_scale((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0).resampled(
-        1.0 / 8.0
-    )
+    wave = HeightField.of_known_scale((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0)
+    coarse = wave.resampled(1.0 / 8.0)
     np.testing.assert_allclose(coarse.heights_um[0], sign * np.cos(np.pi * np.arange(8)), atol=1e-14)
 
 

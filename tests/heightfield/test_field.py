@@ -6,13 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import noise
 
 from warpdiff import gratings
 from warpdiff.heightfield.field import HeightField
-
-
-def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
-    return HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
 
 
 def test_holds_a_read_only_copy() -> None:

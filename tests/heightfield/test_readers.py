@@ -9,14 +9,10 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
 import pytest
-from conftest import write_image
+from conftest import noise, write_image
 
 from warpdiff.heightfield import readers
 from warpdiff.heightfield.field import HeightField
-
-
-def noise(shape: tuple[int, int], pitch: Any = (0.1, 0.05)) -> HeightField:
-    return HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
 
 
 def write_channels(path: Path, samples: np.ndarray, channels: int = 1) -> None:

@@ -102,15 +102,13 @@ def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, r
     """
     plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
-    lookup = ColourLookup(
-        fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, device=device, threads=1
-    )
+    plan = dataclasses.replace(plan, footprint=True)
+    lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
     count = 100_000
     # Any of these runs has a last one that is not whole.
     runs = (256, 1, 7, 61)
-    scattering_vectors = np.concatenate(
-        [rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, (count, 1))], axis=1
-    )
+    uv, w = rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, count)
+    scattering_vectors = np.column_stack([uv, w])
     spreads = rng.normal(0.0, 0.03, (count, 4)) * rng.choice([0.1, 1.0, 5.0], (count, 1))
     gains = np.where(rng.uniform(size=count) < 0.8, rng.uniform(size=count), 0.0)
     to_lights = wp.array(np.tile([0.3, 0.1, 0.9], (count, 1)), dtype=wp.vec3f, device=device)
@@ -180,12 +178,9 @@ def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers,
     footprints = to_first_order(np.column_stack([wide, across]))
     result = colours(heightfield, dataclasses.replace(plan, footprint=True), plan.direction_range, middles, footprints)
     places, weights = np.polynomial.hermite_e.hermegauss(80)
-    points = (
-        middles[:, None, None] + places[:, None, None] * wide[:, None, None] + places[:, None] * across[:, None, None]
-    )
-    of_points = colours(heightfield, sampled, plan.direction_range, points.reshape(-1, 2), None).reshape(
-        count, 80, 80, 3
-    )
+    points = middles[:, None, None] + places[:, None, None] * wide[:, None, None]
+    points = (points + places[:, None] * across[:, None, None]).reshape(-1, 2)
+    of_points = colours(heightfield, sampled, plan.direction_range, points, None).reshape(count, 80, 80, 3)
     exact = np.einsum("p,q,npqc->nc", weights, weights, of_points) / weights.sum() ** 2
     relative = np.linalg.norm(result - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert np.median(relative) < 5e-3
@@ -289,8 +284,6 @@ def test_a_flat_surface_has_none(fingers):
     along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
     camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)
     plan = wd.shade(disc, fingers, LIGHT, camera, coherence=SHORT, tangents=along_x).plan
-    images = [
-        wd.shade(disc, fingers, LIGHT, camera, plan=plan, tangents=along_x, footprint=footprint)
-        for footprint in (True, False)
-    ]
+    options = {"plan": plan, "tangents": along_x}
+    images = [wd.shade(disc, fingers, LIGHT, camera, footprint=means, **options) for means in (True, False)]
     np.testing.assert_allclose(images[0].xyz, images[1].xyz, rtol=2e-3)

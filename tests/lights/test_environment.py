@@ -89,9 +89,8 @@ def test_cells_are_even_and_more_where_more_are_asked_for():
         at = np.array([[0.003, 0.0], [0.05, 0.02], [0.3, -0.2], [-0.9, 0.8], [1.5, 0.5]])
         away = at[:, None] - places[:, :2]
         variance = places[:, 2] ** 2
-        even = np.sum(
-            places[:, 3] / (2 * math.pi * variance) * np.exp(-0.5 * np.sum(away**2, axis=2) / variance), axis=1
-        )
+        gaussians = np.exp(-0.5 * np.sum(away**2, axis=2) / variance) / (2 * math.pi * variance)
+        even = gaussians @ places[:, 3]
         assert even == pytest.approx(np.ones(5), abs=0.05 if most > 100 else 0.3)
         assert np.sum(footprints**2, axis=1) == pytest.approx(2.0 * variance, rel=1e-5)
 
@@ -269,10 +268,8 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
         material=trimesh.visual.material.PBRMaterial(baseColorFactor=[200, 120, 60, 255]),
     )
     book = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3], [0, 4, 1], [0, 5, 4]], visual=texture, process=False)
-    flat, view = (
-        wd.HeightField(np.zeros((8, 8)), 0.09),
-        wd.View((0.3, 4, 0.5), (0, 0.5, 0), fov_y_deg=22, width=16, height=8),
-    )
+    flat = wd.HeightField(np.zeros((8, 8)), 0.09)
+    view = wd.View((0.3, 4, 0.5), (0, 0.5, 0), fov_y_deg=22, width=16, height=8)
     along, solid = middles(16)
     grey = 1.2 + along[..., 0]
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=640)
@@ -286,9 +283,8 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
         )
         if towards[1] > -0.8
     ]
-    exact = [
-        wd.shade(book, flat, lamps, view, **options | {"pigment": each, "footprint": False}).xyz for each in (0.0, 1.0)
-    ]
+    options |= {"footprint": False}
+    exact = [wd.shade(book, flat, lamps, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
     below, wanted = found[1] - found[0], exact[1] - exact[0]
     seen = wanted[..., 1] > 0.0
     assert seen.sum() > 60

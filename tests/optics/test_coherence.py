@@ -37,9 +37,8 @@ def scattering_vector_at(heightfield, turns_x, turns_y, wavelength, w=-1.3):
 
 def one(heightfield, coherence, scattering_vector, wavelength, to_light=None):
     lights = None if to_light is None else to_light[None]
-    return direct_sum.window_power(
-        heightfield, coherence, scattering_vector[None], np.array([wavelength]), to_lights=lights
-    )[0, 0]
+    given = heightfield, coherence, scattering_vector[None], np.array([wavelength])
+    return direct_sum.window_power(*given, to_lights=lights)[0, 0]
 
 
 def inclined(theta_deg, azimuth=0.7):
@@ -156,9 +155,8 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
         for t in range(-4, 5)
         if np.hypot(*(to_light[:2] + wavelength * np.array([r / small.size_um[1], t / small.size_um[0]]))) < 0.95
     ]
-    cases = [
-        (orders[k], place) for k, place in zip(rng.integers(0, len(orders), 16), rng.normal(0, 1, (16, 2)), strict=True)
-    ]
+    chosen, places = rng.integers(0, len(orders), 16), rng.normal(0, 1, (16, 2))
+    cases = [(orders[k], place) for k, place in zip(chosen, places, strict=True)]
     errors = []
     for diameter in (0.02, 0.002):
         coherence = Coherence("source", angular_diameter_deg=diameter)
@@ -228,20 +226,14 @@ def test_solid_angle_is_what_a_mirror_gathers(coherence):
 def test_solid_angles_in_closed_form():
     wavelengths = np.array([0.4, 0.7])
     for kind in ("averaged", "centred"):
-        np.testing.assert_allclose(
-            reflectance_factors.pigment_solid_angle(wavelengths, Coherence(kind, 16.0), 9.0),
-            wavelengths**2 / (4.0 * math.pi**2 * 16.0**2),
-        )
+        pigment = reflectance_factors.pigment_solid_angle(wavelengths, Coherence(kind, 16.0), 9.0)
+        np.testing.assert_allclose(pigment, wavelengths**2 / (4.0 * math.pi**2 * 16.0**2))
     source = Coherence("source")
-    np.testing.assert_allclose(
-        reflectance_factors.pigment_solid_angle(wavelengths, source, 9.0), 2.0 * source.spread**2
-    )
-    np.testing.assert_allclose(
-        reflectance_factors.brdf_scale(np.array([0.5]), wavelengths, source, 9.0) / 0.5,
-        1.0 / (2.0 * math.pi * source.spread**2 * 0.5 * 0.5),
-    )
+    pigment = reflectance_factors.pigment_solid_angle(wavelengths, source, 9.0)
+    np.testing.assert_allclose(pigment, 2.0 * source.spread**2)
+    scale = reflectance_factors.brdf_scale(np.array([0.5]), wavelengths, source, 9.0) / 0.5
+    np.testing.assert_allclose(scale, 1.0 / (2.0 * math.pi * source.spread**2 * 0.5 * 0.5))
     periods = Coherence("replicas", periods=(2, 5))
-    np.testing.assert_allclose(
-        reflectance_factors.pigment_solid_angle(wavelengths, periods, 9.0), wavelengths**2 / (math.pi * 9.0 * 10.0)
-    )
+    pigment = reflectance_factors.pigment_solid_angle(wavelengths, periods, 9.0)
+    np.testing.assert_allclose(pigment, wavelengths**2 / (math.pi * 9.0 * 10.0))
     assert reflectance_factors.brdf_scale(np.ones(3), wavelengths, periods, 9.0).shape == (3, 2)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from conftest import at_angle, hemisphere, slow
+from conftest import at_angle, coherence_of, hemisphere, slow
 
 import warpdiff as wd
 from warpdiff.kernels import light_samples
@@ -13,13 +13,6 @@ from warpdiff.kernels.structs import Pixels
 from warpdiff.optics import reflectance_factors
 
 KINDS = ["averaged", "centred", "source", "replicas"]
-
-
-def coherence_of(kind, sigma_um=None, periods=(2, 3)):
-    """A window of some size, a source that is as wide to the eye, or some periods."""
-    if kind == "source":
-        return wd.Coherence(kind, angular_diameter_deg=3.0)
-    return wd.Coherence(kind, periods=periods) if kind == "replicas" else wd.Coherence(kind, sigma_um)
 
 
 @pytest.fixture(scope="module")
@@ -92,14 +85,10 @@ def test_gain_of_the_kernel_is_that_of_the_formula(masking, ior, rng, device):
     views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
-    found = kernel_gain(unit_lights, views, reflectance_factors.normal_reflectance(ior), masking, device)
-    np.testing.assert_allclose(
-        found,
-        reflectance_factors.gain(
-            unit_lights, unit_views, normal=reflectance_factors.normal_reflectance(ior), masking=masking
-        ),
-        rtol=1e-6,
-    )
+    normal = reflectance_factors.normal_reflectance(ior)
+    found = kernel_gain(unit_lights, views, normal, masking, device)
+    formula = reflectance_factors.gain(unit_lights, unit_views, normal=normal, masking=masking)
+    np.testing.assert_allclose(found, formula, rtol=1e-6)
 
     half = unit_lights + unit_views
     half /= np.linalg.norm(half, axis=1, keepdims=True)
@@ -122,10 +111,7 @@ def test_powers_do_not_depend_on_the_position(rough, kind, rng):
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
     shifted = wd.HeightField(np.roll(rough.heights_um, (17, -29), axis=(0, 1)), rough.pitch_um)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-4}
-    values = [
-        wd.spectral_reflectance(heightfield, lights, views, [420.0, 580.0], **options)
-        for heightfield in (rough, shifted)
-    ]
+    values = [wd.spectral_reflectance(each, lights, views, [420.0, 580.0], **options) for each in (rough, shifted)]
     np.testing.assert_allclose(*values, rtol=1e-4, atol=1e-6 * values[0].max())
 
 
@@ -139,14 +125,11 @@ def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
     rotated = wd.HeightField(np.rot90(heights, -turns), 0.08)
     rotation = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
-    before = wd.spectral_reflectance(
-        heightfield, lights, views, [420.0, 580.0], coherence=coherence_of(kind, 3.0, (2, 3)), tolerance=1e-4
-    )
+    options = {"wavelengths_nm": [420.0, 580.0], "tolerance": 1e-4}
+    before = wd.spectral_reflectance(heightfield, lights, views, coherence=coherence_of(kind, 3.0), **options)
     # The copies turn with the patch.
-    after = wd.spectral_reflectance(
-        rotated, lights @ rotation.T, views @ rotation.T, [420.0, 580.0], tolerance=1e-4,
-        coherence=coherence_of(kind, 3.0, (3, 2) if turns % 2 else (2, 3)),
-    )  # fmt: skip
+    coherence = coherence_of(kind, 3.0, periods=(3, 2) if turns % 2 else (2, 3))
+    after = wd.spectral_reflectance(rotated, lights @ rotation.T, views @ rotation.T, coherence=coherence, **options)
     np.testing.assert_allclose(after, before, rtol=2e-4, atol=1e-6 * before.max())
 
 
@@ -209,9 +192,8 @@ def test_excess_energy_of_a_shallow_sine(period_um):
         centre = abs(order) * wavelength / period_um
         views, measure = projected_disc(centre, 7.0 * wavelength * power_width(coherence), 64)
         views = views * [order or 1, 1.0, 1.0]
-        values = wd.brdf(
-            heightfield, (0, 0, 1), views, 1e3 * wavelength, coherence=coherence, ior=math.inf, method="direct"
-        )
+        options = {"coherence": coherence, "ior": math.inf, "method": "direct"}
+        values = wd.brdf(heightfield, (0, 0, 1), views, 1e3 * wavelength, **options)
         total += float(values[:, 0] @ measure)
     c = math.sqrt(1.0 - (wavelength / period_um) ** 2)
     expected = (2.0 * math.pi * amplitude / wavelength) ** 2 * (1.0 - c) ** 2 / (2.0 * c)
@@ -231,9 +213,8 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     options = {"masking": False, "method": method, "device": device}
     rho = wd.spectral_reflectance(heightfield, (0, 0, 1), at_angle(theta), 1e3 * wavelength, **options)[:, 0]
     assert theta[np.argmax(rho)] == pytest.approx(-10.0 * cycles, abs=0.011)
-    power = wd.spectral_reflectance(
-        heightfield, (0, 0, 1), at_angle(-10.0 * cycles), 1e3 * wavelength, ior=math.inf, **options
-    )
+    mirrored = at_angle(-10.0 * cycles)
+    power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
     assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all of it: C alone is left
 

@@ -129,10 +129,8 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
 def test_the_plan_does_not_depend_on_threads(rough, kind):
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
-    one, two = (
-        wd.plan(rough, at_angle(40.0), tolerance=0.1, coherence=coherence, threads=threads) for threads in (1, 2)
-    )
-    assert one == two
+    options = {"tolerance": 0.1, "coherence": coherence}
+    assert wd.plan(rough, at_angle(40.0), threads=1, **options) == wd.plan(rough, at_angle(40.0), threads=2, **options)
 
 
 def test_a_plan_reads_as_a_paragraph(rough):
@@ -193,9 +191,8 @@ def test_the_number_of_terms_is_obeyed(rough, kind):
         centre_y, centre_x = (n // 2 * pitch for n, pitch in zip(rough.shape, rough.pitch_um, strict=True))
         phase = np.exp(-2j * math.pi * (s[:, None] * centre_y / length_y + r * centre_x / length_x))
         power = np.abs(np.sum((series @ basis) * gaussian * phase)) ** 2
-    gain = reflectance_factors.gain(
-        light[None], view[None], normal=reflectance_factors.normal_reflectance(1.5), masking=True
-    )[0]
+    normal = reflectance_factors.normal_reflectance(1.5)
+    gain = reflectance_factors.gain(light[None], view[None], normal=normal, masking=True)[0]
 
     found = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
     assert found == pytest.approx(gain * power, rel=1e-4)
@@ -225,9 +222,8 @@ def test_numbers_are_obeyed(rough, kind):
 def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
     light, view = at_angle(25.0), hemisphere(np.random.default_rng(1), 9)
     plan = wd.plan(rough, light, view, tolerance=3e-2)
-    np.testing.assert_array_equal(
-        wd.reflectance(rough, light, view, tolerance=3e-2), wd.reflectance(rough, light, view, plan=plan)
-    )
+    found = wd.reflectance(rough, light, view, tolerance=3e-2)
+    np.testing.assert_array_equal(found, wd.reflectance(rough, light, view, plan=plan))
     image = wd.reflectance_map(rough, light, size=8, tolerance=3e-2)
     again = wd.reflectance_map(rough, light, size=8, plan=image.plan)
     assert again.plan is image.plan
@@ -255,9 +251,8 @@ def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_th
     for height, method in ((3.0, "taylor"), (8.0, "auto")):
         heightfield = deep(height)
         for call, given in ((wd.plan, directions), (wd.reflectance, (UP, views))):
-            with pytest.raises(
-                ValueError, match=rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"
-            ) as refused:
+            message = rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"
+            with pytest.raises(ValueError, match=message) as refused:
                 call(heightfield, *given, method=method)
             assert call is wd.reflectance or how in str(refused.value)
             with pytest.warns(wd.WarpdiffWarning, match=r"cannot meet tolerance=0\.01"):
@@ -315,9 +310,7 @@ def test_one_row_is_constant_along_y():
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
     for method in ("auto", "direct"):
-        thin, thick = (
-            wd.spectral_reflectance(heightfield, UP, views, [400.0], method=method) for heightfield in (row, coarse)
-        )
+        thin, thick = (wd.spectral_reflectance(each, UP, views, [400.0], method=method) for each in (row, coarse))
         np.testing.assert_allclose(thick, thin, rtol=1e-4, atol=1e-30)
         assert thick[0] < 1e-30
 
@@ -422,9 +415,8 @@ def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
     assert sizes[0] == plan.wavelengths
     assert len(sizes) >= 3
     assert np.all(np.diff(sizes) < 0)
-    fixed = coefficient_table.quadrature_for(
-        rough, dataclasses.replace(plan, adaptive=False), IlluminatedMaterial("D65"), device="cpu"
-    )
+    plan = dataclasses.replace(plan, adaptive=False)
+    fixed = coefficient_table.quadrature_for(rough, plan, IlluminatedMaterial("D65"), device="cpu")
     assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]
 
 
@@ -450,9 +442,8 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     monkeypatch.setattr(coefficient_basis, "of_series", counted)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
-    heightfield = wd.HeightField.of_known_scale(
-        surface.heights_um * (height_um / surface.height_range_um), surface.pitch_um
-    )
+    heights = surface.heights_um * (height_um / surface.height_range_um)
+    heightfield = wd.HeightField.of_known_scale(heights, surface.pitch_um)
     wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
     assert len(coefficient_table.table_cache(heightfield).fitted_to) == 0

@@ -26,9 +26,7 @@ SHORT = wd.Coherence(sigma_um=3.25)
 def truth(heightfield, lights, views, coherence):
     """XYZ by the float64 reference."""
     scattering_vectors = -lights - views
-    gains = reflectance_factors.gain(
-        lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True, per_light_cosine=False
-    )
+    gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return gains[:, None] * reference.colours(heightfield, scattering_vectors, lights, coherence, tolerance=1e-4)
 
 
@@ -38,9 +36,8 @@ def truth(heightfield, lights, views, coherence):
 def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 160), hemisphere(rng, 160)
-    plan = wd.plan(
-        fingers, lights, views, tolerance=tolerance, coherence=coherence, method="low-rank", integration="table"
-    )
+    options = {"tolerance": tolerance, "coherence": coherence, "method": "low-rank", "integration": "table"}
+    plan = wd.plan(fingers, lights, views, **options)
     assert plan.rings_per_octave > 0
     assert plan.error <= tolerance
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -127,9 +124,8 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
             np.exp(-falloff / length**2 * (neighbours - place) ** 2)
             for neighbours, place, length in zip(near, q, lengths, strict=True)
         )
-        around = coefficients[
-            np.ix_(*((neighbours + count // 2) % count for neighbours, count in zip(near, counts, strict=True)))
-        ]
+        within = ((neighbours + count // 2) % count for neighbours, count in zip(near, counts, strict=True))
+        around = coefficients[np.ix_(*within)]
         sums = np.einsum("y,x,yxpl->pl", of_rows, of_columns, around)
         value = sums[0] if powers else np.sum((sums @ at_kappas) ** 2, axis=0)
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
@@ -195,9 +191,8 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     # A node's number is a multiple of an octave's nodes where an octave begins.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
-    logs = np.concatenate(
-        [rng.uniform(seams[1] - 3.0, last - 3.0, 300), np.repeat(seams, 50) + rng.uniform(-2, 2, 100)]
-    )
+    anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
+    logs = np.concatenate([anywhere, np.repeat(seams, 50) + rng.uniform(-2, 2, 100)])
     angles = np.where(rng.random(400) < 0.8, rng.uniform(0.0, 1.0, 400), rng.uniform(-1e-3, 1e-3, 400)) * 2.0 * np.pi
     uv = np.exp2(logs / table.rings_per_octave)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     scattering_vectors = np.column_stack([uv, rng.uniform(-1.9, -1.0, 400)])
@@ -258,9 +253,8 @@ def test_functions_of_w_serve_all_terms():
     def basis_at(at):
         return np.stack([np.cos(2.0 * np.pi * n * 0.15 * at) for n in range(6)], axis=1)
 
-    plan = dataclasses.replace(
-        wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank"), rings_per_octave=16, azimuths_per_width=1.1
-    )
+    plan = wd.plan(wd.HeightField(np.zeros((8, 8)), 0.08), method="low-rank")
+    plan = dataclasses.replace(plan, rings_per_octave=16, azimuths_per_width=1.1)
     terms, layout = colour_curves.SpectrumBasis(basis_at, kappas, np.ones(6), 0.2), MipLayout.for_plan(plan, 4.0)
     projection = colour_curves.make_projection(plan, terms, IlluminatedMaterial("D65"), layout)
     weights = colour_curves.colour_weights(16, IlluminatedMaterial("D65"))
@@ -332,7 +326,6 @@ def test_one_dimensional_surfaces(size, rng):
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)
-    result = wd.reflectance(
-        heightfield, lights, views, plan=dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=2.1)
-    )
+    tabled = dataclasses.replace(plan, rings_per_octave=64, azimuths_per_width=2.1)
+    result = wd.reflectance(heightfield, lights, views, plan=tabled)
     assert np.percentile(relative_errors(result, sampled), 90.0) < 2e-2

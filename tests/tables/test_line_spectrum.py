@@ -167,9 +167,8 @@ def test_footprints_widen_the_source(fingers, plan):
     from warpdiff.kernels.structs import Footprint
 
     device = wp.get_device("cpu")
-    lookup = ColourLookup(
-        fingers, dataclasses.replace(plan, footprint=True), plan.direction_range, device=device, threads=1
-    )
+    plan = dataclasses.replace(plan, footprint=True)
+    lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
     to_light = np.array([0.5, 0.3, np.sqrt(1.0 - 0.34)])
     footprint = np.array([[0.004, 0.009], [-0.006, 0.002]])
     places, weights = np.polynomial.hermite_e.hermegauss(24)
