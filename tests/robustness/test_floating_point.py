@@ -1,4 +1,4 @@
-"""Where NumPy is told to raise, what is right does not: what vanishes is zero. And what is too much is refused."""
+"""Legal calls raise nothing where NumPy raises on every floating-point error: values that vanish are zero."""
 
 import numpy as np
 import pytest
@@ -54,8 +54,3 @@ def test_pictures_of_any_power_are_finite(fingers, power, tmp_path):
     assert np.isfinite(image.error).all()
     for name in ("a.png", "a.exr"):
         assert image.save(tmp_path / name).is_file()
-
-
-def test_too_much_power_is_refused():
-    with pytest.raises(ValueError, match=r"power must be a finite number, at least 0 and at most 1e\+12, got 1e\+300"):
-        wd.DirectionalLight((0.0, 0.0, 1.0), power=1e300)
