@@ -159,7 +159,7 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
     ids=["resampled", "plan", "reflectance", "order_efficiencies", "shade", "Renderer"],
 )  # fmt: skip
 def test_gaps_are_refused_where_light_falls(use) -> None:
-    message = rf"heightfield must have all samples, got {GAP.sum()} of 3000 missing.*fill them with filled\(\)"
+    message = rf"heightfield must have all samples, but {GAP.sum()} of 3000 are missing.*fill them with filled\(\)"
     with pytest.raises(ValueError, match=message):
         use(gappy(waves()))
 

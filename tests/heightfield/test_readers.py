@@ -238,7 +238,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
 @pytest.mark.parametrize(
     ("name", "error", "message"),
     [("a.npy", ValueError, r"path must end in \.npz, got '.*a\.npy'"),
-     ("none/a.npz", FileNotFoundError, "path: the folder .*none does not exist"),
+     ("none/a.npz", FileNotFoundError, "path: the folder '.*none' does not exist"),
      (None, TypeError, "path must be a string or a path")],
 )  # fmt: skip
 def test_bad_paths_of_save(tmp_path: Path, name: str | None, error: type[Exception], message: str) -> None:

@@ -124,9 +124,9 @@ VALUE_ERRORS = [
     (lambda _: shade(light=wd.DirectionalLight(UP, illuminant="D66")), r"lights\[0\].illuminant must be .* got 'D66'"),
     # Plans
     (lambda _: wd.reflectance(HF, UP, UP, method="power", coherence=wd.Coherence("replicas", periods=(2, 2))),
-     "method='power' expands powers, but coefficients of kind='replicas' add as amplitudes: use one of 'auto'"),
+     "method='power' cannot be used with kind='replicas', whose coefficients add as amplitudes, not as powers:"),
     (lambda _: dataclasses.replace(CENTRED_PLAN, method="power", rings_per_octave=0),
-     "method='power' expands powers, but coefficients of kind='centred' add as amplitudes: use one of 'auto'"),
+     "method='power' cannot be used with kind='centred', whose coefficients add as amplitudes, not as powers:"),
     (lambda _: wd.reflectance(HF, UP, UP, plan=PLAN, coherence=wd.Coherence("centred")),
      "coherence differs from the coherence of plan"),
     (lambda _: shade(plan=PLAN, coherence=wd.Coherence("centred")), "coherence differs from the coherence of plan"),
@@ -218,7 +218,7 @@ PLANS = [
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
-    ("nowhere/out.png", {}, FileNotFoundError, "path: the folder .*nowhere does not exist; create it first"),
+    ("nowhere/out.png", {}, FileNotFoundError, "path: the folder '.*nowhere' does not exist; create it first"),
     ("old.png", {"exposure": 0.0}, ValueError, "exposure must be a finite number, more than 0, got 0.0"),
     ("old.exr", {"exposure": math.inf}, ValueError, "exposure must be a finite number, more than 0, got inf"),
     ("old.png", {"exposure_stops": 1e9}, ValueError, "exposure_stops must be .*, at least -30 and at most 30"),

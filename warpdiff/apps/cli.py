@@ -53,7 +53,7 @@ _BODIES: dict[str, tuple[str, dict[str, Any]]] = {
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
 METAL_SYMBOLS = get_args(Metal)
-_MOST_PORT = 65_535
+_MOST_PORT, _GRAZING_DEG = 65_535, 90.0
 # Errors of the file system that concern a path of the user; a full disk is a failure.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = (
@@ -355,8 +355,9 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
         name, equals, value = assignment.partition("=")
         if not equals or name not in known:
             raise ArgumentValueError(
-                f"{ref(flag)} {text!r} must have parameters name=value, of "
-                f"{', '.join(known)}{did_you_mean(name, known)}"
+                f"{ref(flag)} {text!r} has {assignment!r}, but its parameters are {', '.join(known)}, each as "
+                "name=value"
+                f"{did_you_mean(name, known)}"
             )
         values[name] = _illuminant(value) if name == "illuminant" else _value(value)
     for parameter in inspect.signature(function).parameters.values():
@@ -481,7 +482,7 @@ def _lights(options: argparse.Namespace, view: wd.View | None) -> list[Any]:
         if len(texts) == 1 and colon:
             if kind not in _LIGHTS:
                 raise ArgumentValueError(
-                    f"{ref('light')} {texts[0]!r} must begin with one of {', '.join(f'{name}:' for name in _LIGHTS)}"
+                    f"{ref('light')} {texts[0]!r} must begin with {' or '.join(repr(f'{name}:') for name in _LIGHTS)}"
                     f"{did_you_mean(kind, _LIGHTS)}"
                 )
             lights.append(
@@ -611,6 +612,10 @@ def _export_html(options: argparse.Namespace) -> None:
 
 def _brdf(options: argparse.Namespace) -> None:
     _check_output(options)
+    if not abs(options.incidence_deg) < _GRAZING_DEG:
+        raise ArgumentValueError(
+            f"--incidence-deg must be more than -90 and less than 90, got {options.incidence_deg:g}"
+        )
     theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.reflectance_map(

@@ -167,4 +167,5 @@ def word(name: str, value: str | None, words: Mapping[str, str]) -> str:
     if value in ("True", "False"):
         positive = flag.replace("--no-", "--", 1)
         return positive if value == "True" else positive.replace("--", "--no-", 1)
-    return f"{flag} {value.strip(chr(39))}" if flag.startswith("--") else f"{flag}={value}"
+    shown = value.strip("'").strip("()").replace(",", "") if value.startswith(("'", "(")) else value
+    return f"{flag} {shown}" if flag.startswith("--") else f"{flag}={value}"

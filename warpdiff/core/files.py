@@ -66,7 +66,7 @@ def discard_unfinished() -> None:
 def check_folder(folder: Path, name: str) -> None:
     """Refuse a folder in which no file can be made; ``name`` is the argument that names it."""
     if not folder.is_dir():
-        raise marked(FileNotFoundError, f"{ref(name)}: the folder {folder} does not exist; create it first")
+        raise marked(FileNotFoundError, f"{ref(name)}: the folder {str(folder)!r} does not exist; create it first")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise marked(PermissionError, f"{ref(name)}: the folder {folder} is not writable; use another one")
 

@@ -62,10 +62,15 @@ def range_text(above: float | None, least: float | None, most: float | None) -> 
     return " and ".join(f"{word} {bound}" for word, bound in numbers)
 
 
+def described(value: Any) -> str:
+    """Return type and value of an argument of the wrong type, such as ``str 'low'``."""
+    return type(value).__name__ if value is None else f"{type(value).__name__} {value!r:.40}"
+
+
 def number(value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST) -> float:
     """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise ArgumentTypeError(f"{ref(name)} must be a number, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{ref(name)} must be a number, got {described(value)}")
     try:
         result = float(value)
     except OverflowError:
@@ -92,7 +97,7 @@ def positive(value: Any, name: str, *, most: float = MOST) -> float:
 def count(value: Any, name: str, *, least: int = 1, most: int = MOST_COUNT) -> int:
     """Return ``value`` as an integer from ``least`` to ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ArgumentTypeError(f"{ref(name)} must be an integer, got {type(value).__name__}")
+        raise ArgumentTypeError(f"{ref(name)} must be an integer, got {described(value)}")
     if not least <= value <= most:
         bounds = range_text(
             None, least if least > -MOST_COUNT else None, most if most < MOST_COUNT or value > most else None
@@ -144,7 +149,9 @@ def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
     # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
     largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
     if not np.all(largest > 0.0):
-        raise ArgumentValueError(f"{ref(name)} must not contain zero vectors, got {int(np.sum(largest == 0.0))}")
+        raise ArgumentValueError(
+            f"{ref(name)} must not contain zero vectors, got {int(np.sum(largest == 0.0))} of {len(array)}"
+        )
     array /= largest
     array /= np.linalg.norm(array, axis=1, keepdims=True)
     return array, single

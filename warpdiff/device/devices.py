@@ -44,8 +44,8 @@ def resolve_device(device: Any) -> wp.Device:
         return wp.get_device("cpu" if device is None else device)
     except Exception as error:
         raise ArgumentValueError(
-            f"{ref('device')} must be 'cpu', or 'cuda' on a machine with a CUDA device, got {device!r}: {error}"
-        ) from None
+            f"{ref('device')} must be 'cpu', or 'cuda' on a machine with a CUDA device, got {device!r}"
+        ) from error
 
 
 def resolve_threads(threads: Any) -> int:

@@ -143,8 +143,9 @@ def reflectance_map(
     count = across * size
     if count * count > memory.MOST_ELEMENTS:
         raise ArgumentValueError(
-            f"{ref('size')}² · {ref('samples_per_pixel')} must be at most {memory.MOST_ELEMENTS} directions, got "
-            f"{count * count}"
+            f"{ref('size')} × {ref('size')} × {ref('samples_per_pixel')} must be at most {memory.MOST_ELEMENTS}, got "
+            f"{size} × "
+            f"{size} × {samples_per_pixel}"
         )
     memory.require_memory(
         _BYTES_OF_MAP * count * count, f"a map of {size} × {size} pixels with samples_per_pixel={across * across}",

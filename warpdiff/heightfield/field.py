@@ -497,8 +497,9 @@ def check_whole(heightfield: Any) -> None:
     count = heightfield._missing_count
     if count:
         raise ArgumentValueError(
-            f"{ref('heightfield')} must have all samples, got {count} of {heightfield.missing.size} missing (NaN or "
-            f"masked); fill them with {ref('filled()')}, or cut out a part without gaps with {ref('cropped()')}"
+            f"{ref('heightfield')} must have all samples, but {count} of {heightfield.missing.size} are missing (NaN "
+            "or "
+            f"masked): fill them with {ref('filled()')}, or cut out a part without gaps with {ref('cropped()')}"
         )
 
 

@@ -64,7 +64,7 @@ class Coherence(Checked):
             self._set("angular_diameter_deg", _DEFAULT_DIAMETER_DEG)
         if self.kind == "replicas" and periods is None:
             raise ArgumentValueError(
-                f"{ref('periods')} must be given for {ref('kind', 'replicas')}: a pair (y, x), such as (1, 100)"
+                f"{ref('periods')} must be given for {ref('kind', 'replicas')}, such as {ref('periods', (1, 100))}"
             )
 
     def __str__(self) -> str:

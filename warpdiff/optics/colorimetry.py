@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 from warpdiff.optics.spectra import Spectrum, colour_science
 
 if TYPE_CHECKING:
@@ -55,10 +55,10 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
         return illuminant
     range_nm = _tabulated_nm(illuminant)
     if range_nm is None:
-        names = ", ".join(sorted(colour_science().SDS_ILLUMINANTS))
+        names = sorted(colour_science().SDS_ILLUMINANTS)
         raise ArgumentValueError(
-            f"{ref(name)} must be one of {names}, a light source of colour-science, or a warpdiff.Spectrum, got "
-            f"{illuminant!r}"
+            f"{ref(name)} must be one of {', '.join(names[:12])}, … ({len(names)} illuminants and the light sources of "
+            f"colour-science), or a spectrum, got {illuminant!r}{did_you_mean(illuminant, names)}"
         )
     start, end = range_nm
     if start > LAMBDA_MIN_NM or end < LAMBDA_MAX_NM:

@@ -319,9 +319,9 @@ def check_method(method: str, integration: str, coherence: Coherence) -> None:
     """Refuse a method, or its integration by a table, that a coherence does not support."""
     if _is_legal(method, integration, coherence):
         return
-    why = f"expands powers, but coefficients of {ref('kind', coherence.kind)} add as amplitudes"
+    why = f"cannot be used with {ref('kind', coherence.kind)}, whose coefficients add as amplitudes, not as powers"
     if integration == "table":
-        why = f"has no table for coherence of {ref('kind', coherence.kind)}"
+        why = f"has no table for {ref('kind', coherence.kind)}"
     legal = [name for name in METHODS if _is_legal(name, integration, coherence)]
     others = f"use one of {', '.join(map(repr, legal))}" if legal else f"use {ref('integration', 'sampled')}"
     raise ArgumentValueError(f"{ref('method', method)} {why}: {others}")

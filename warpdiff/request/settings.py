@@ -70,7 +70,10 @@ class CommonSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.integration != "auto" and self.method == "direct":
-            raise ArgumentValueError(f"{ref('integration')} must be 'auto' for {ref('method', 'direct')}")
+            raise ArgumentValueError(
+                f"{ref('integration')} must be 'auto' for {ref('method', 'direct')}, got {self.integration!r}: remove "
+                "it"
+            )
         check_method(self.method, self.integration, self.effective_coherence)
 
     @property
@@ -176,7 +179,9 @@ class PictureSettings(EvaluationSettings):
         method = self.method if self.plan is None else self.plan.method
         if self.footprint and method == "direct":
             raise ArgumentValueError(
-                f"{ref('footprint')} must be False for {ref('method', 'direct')}, which sums single directions"
+                f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single "
+                "directions: "
+                "remove one of them"
             )
 
     @property
