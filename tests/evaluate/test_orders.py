@@ -204,7 +204,7 @@ def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
         given = at_angle(angle), found.to_view[0, above], 450.0
         absolute = [
             wd.brdf(heightfield, *given, ior=math.inf, tolerance=1e-3, energy=form)[:, 0]
-            for form in energy_normalisation.FORMS
+            for form in ("stam", "normalised")
         ]
         expected = (found.efficiencies / stam.efficiencies)[0, above]
         np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)

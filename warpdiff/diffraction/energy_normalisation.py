@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 # Orders of a family whose sums are made 1 by themselves; the factors of more come from a grid of directions.
 MOST_EXACT = 600
-FORMS = ("stam", "normalised")
 # That grid: from the normal and around it, and how wide orders that go together are, in parts of directions.
 _ELEVATIONS, _AZIMUTHS, _BIN = 16, 16, 0.08
 _SWEEPS, _CONVERGENCE = 200, 1e-10
@@ -44,7 +43,7 @@ _LIGHTS, _VISIBLE_RANGE_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947
 _STEEPEST = math.radians(80.0)
 # Factors of single wavelengths are linear between so many nodes of a band [nm], or of another one in the same ratio
 # beside it: they do not depend on what else is asked for.
-_NODES, _BAND_NM = 5, (380.0, 780.0)
+_NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Lights whose sums are made 1 exactly.
 _MOST_LIGHTS = 64
 # A share of the light that no sum is divided by less than: no order propagates whose coefficient does not vanish.
