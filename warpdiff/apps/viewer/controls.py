@@ -115,8 +115,12 @@ class Control:
                 names = ", ".join(map(repr, self.labels.values()))
                 raise ArgumentValueError(f"{ref(self.name)} must be one of {names}, got {value!r:.60}")
             return next(choice for choice in self.labels if choice == value)
+        # Words of the page, whose users know neither True nor str.
+        kinds, rule = (bool, "on or off") if self.slider is None else ((int, float), "a number")
+        if not isinstance(value, kinds) or (self.slider and isinstance(value, bool)):
+            raise ArgumentTypeError(f"{ref(self.name)} must be {rule}, got {value!r:.60}")
         if self.slider is None:
-            return validation.flag(value, self.name)
+            return value
         low, high, _ = self.slider
         number = validation.number(value, self.name, least=low, most=high)
         return round(number) if self.option.kind in ("integer", "integers") else number
@@ -225,7 +229,7 @@ def controls(
                 shown_if={"material": ("dielectric",)}),
         Control(picture["energy"], "Optics", "energy", call="picture"),
         Control(picture["masking"], "Optics", "masking and shadowing", shown_if={"energy": ("stam",)}, call="picture"),
-        Control(describe(View)["height"], "Picture", "height", default=360, labels=_ROWS),
+        Control(describe(View)["height"], "Picture", "picture height", default=360, labels=_ROWS),
         Control(picture["tolerance"], "Picture", "tolerance", default=0.03, labels=_TOLERANCES),
         Control(picture["method"], "Picture", "method", labels=methods, call="picture"),
         Control(saving["display"], "Picture", "display", labels=_DISPLAYS),
