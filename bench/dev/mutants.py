@@ -11,8 +11,10 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
+import importlib.util
 import json
 import math
+import multiprocessing
 import os
 import re
 import resource
@@ -25,9 +27,10 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from bench.dev.mutant_sites import NATIVE, PACKAGES, Mutant, draw, header_mutants
 
@@ -38,12 +41,15 @@ TESTS = (
     "optics", "diffraction", "evaluate", "planner", "kernels", "properties", "tables", "lights", "render", "baked",
     "device", "request", "scene",
 )  # fmt: skip
-# Limit: time of the tests of one change, as measured without it [s]. Twice as much finds few more.
-MOST_TESTS_S = 40.0
 # Limit: time after which a change has timed out, relative to its tests' time, and to compile kernels [s].
 PATIENCE, COMPILE_S = 4.0, 60.0
 # Limit: address space of a process [bytes]: changes of sizes would exhaust the machine.
 MEMORY = 12 << 30
+# Processes that run tests are forks of one that has imported the slow packages, but not this one.
+PROCESSES = multiprocessing.get_context("forkserver")
+PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
+# Exit code of a process that would test another package; none of pytest's.
+NOT_THE_COPY = 99
 DETECTED = ("killed", "timed out")
 Tests = dict[str, dict[str, Any]]
 
@@ -59,24 +65,27 @@ def environment(tree: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-def copy_tree(tree: Path) -> str:
-    """Copy the files of the checkout, and return a hash of them; compiled tests in the copy are kept if it is equal."""
+def copy_tree(tree: Path) -> dict[str, str]:
+    """Copy the files of the checkout; return a hash of each test file, and of all sources under the name ``""``."""
     listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     names = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
-    paths = [Path(name) for name in sorted(names) if name and (ROOT / name).is_file()]
-    code = [path for path in paths if path.suffix in {".py", ".h", ".toml"}]
-    digest = hashlib.sha256(b"\0".join(str(path).encode() + (ROOT / path).read_bytes() for path in code)).hexdigest()
-    mark = tree / ".digest"
-    if tree.exists() and not (mark.exists() and mark.read_text() == digest):
-        shutil.rmtree(tree)
-    for path in paths:
-        (tree / path).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / path, tree / path)
+    names = [name for name in sorted(names) if (ROOT / name).is_file()]
+    # Caches stay: they hold the times or the hashes of what they were compiled from.
+    for path in [path for path in tree.rglob("*.py") if path.is_file() and not path.is_symlink()]:
+        path.unlink()
+    digests, sources = {}, hashlib.sha256()
+    for name in names:
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, tree / name)
+        content = (ROOT / name).read_bytes()
+        if re.fullmatch(r"tests/.*/test_\w+\.py", name):
+            digests[name] = hashlib.sha256(content).hexdigest()
+        elif name.startswith(("warpdiff/", "kernels/")):
+            sources.update(name.encode() + content)
     # An installed package finds its kernels elsewhere.
     if not (tree / "warpdiff" / "kernels").exists():
         (tree / "warpdiff" / "kernels").symlink_to("../kernels", target_is_directory=True)
-    mark.write_text(digest)
-    return digest
+    return {**digests, "": sources.hexdigest()}
 
 
 def compile_sources(tree: Path) -> None:
@@ -86,22 +95,24 @@ def compile_sources(tree: Path) -> None:
     subprocess.run(command, cwd=tree, check=True)
 
 
-def measured_tests(tree: Path, digest: str, output: Path, jobs: int) -> Tests:
-    """Return time, lines and kernels of each test function that passes; they are measured if the checkout changed."""
+def measured_tests(tree: Path, digests: dict[str, str], output: Path, jobs: int) -> Tests:
+    """Return time, lines and kernels of each test function that passes; files of tests that changed are measured."""
     path = output / "tests.json"
-    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    if known.get("digest") != digest:
+    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"digests": {}, "tests": {}}
+    same = {name for name, digest in digests.items() if known["digests"].get(name) == digest}
+    changed = [name for name in digests if name.split("/")[1:2] and name.split("/")[1] in TESTS]
+    changed = [name for name in changed if name not in same or "" not in same]
+    if changed:
         folder = tree.parent / "tests"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         command = [sys.executable, "-m", "pytest", "-q", "-n", str(jobs), "--dist", "loadfile"]
-        command += ["-p", "bench.dev.tests_by_line", *(f"tests/{name}" for name in TESTS)]
         variables = environment(tree) | {"WARPDIFF_TESTS_BY_LINE": str(folder)}
-        subprocess.run(command, cwd=tree, env=variables, check=False)
-        tests: Tests = {}
+        subprocess.run([*command, "-p", "bench.dev.tests_by_line", *changed], cwd=tree, env=variables, check=False)
+        tests = {name: test for name, test in known["tests"].items() if name.partition("::")[0] in same - {*changed}}
         for report in sorted(folder.glob("*.json")):
             tests |= json.loads(report.read_text(encoding="utf-8"))
-        known = {"digest": digest, "tests": tests}
+        known = {"digests": digests, "tests": tests}
         path.write_text(json.dumps(known), encoding="utf-8")
     return dict(known["tests"])
 
@@ -109,8 +120,8 @@ def measured_tests(tree: Path, digest: str, output: Path, jobs: int) -> Tests:
 class Selection:
     """Selects the tests of a change."""
 
-    def __init__(self, tests: Tests) -> None:
-        self._tests = tests
+    def __init__(self, tests: Tests, most_s: float) -> None:
+        self._tests, self._most_s = tests, most_s
         self._lines = {
             name: {path: set(lines) for path, lines in test["lines"].items()} for name, test in tests.items()
         }
@@ -167,32 +178,51 @@ class Selection:
                 ranked.append((not hits, place, self._tests[name]["seconds"], name))
         selected, total = [], 0.0
         for *_, seconds, name in sorted(ranked):
-            if not selected or total + seconds <= MOST_TESTS_S:
+            if not selected or total + seconds <= self._most_s:
                 selected.append(name)
                 total += seconds
         return selected, total
 
 
+def pytest_process(tree: Path, names: list[str], log: Path) -> None:
+    """Run test functions until one fails, in a process forked for them; the exit code is that of pytest."""
+    os.setsid()
+    os.chdir(tree)
+    os.environ.update(environment(tree))
+    tempfile.tempdir, sys.dont_write_bytecode = None, True
+    # Pytest imports the package for its filters of warnings before it changes the path.
+    sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    package = importlib.util.find_spec("warpdiff.kernels")
+    if package is None or not str(package.origin).startswith(str(tree)):
+        os._exit(NOT_THE_COPY)
+    with log.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    code = pytest.main([*options, f"--basetemp={tree.parent / 'tmp' / tree.name}", *names])
+    sys.stdout.flush()
+    os._exit(code)
+
+
 def run_tests(tree: Path, names: list[str], limit_s: float) -> tuple[str, str]:
     """Run test functions until one fails; return ``"survived"``, ``"killed"`` or ``"timed out"``, and that function."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    command += [f"--basetemp={tree.parent / 'tmp' / tree.name}", *names]
-    process = subprocess.Popen(
-        command, cwd=tree, env=environment(tree) | {"PYTHONDONTWRITEBYTECODE": "1"}, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        preexec_fn=partial(resource.setrlimit, resource.RLIMIT_AS, (MEMORY, MEMORY)),  # noqa: PLW1509 (no locks in it)
-    )  # fmt: skip
-    try:
-        text, _ = process.communicate(timeout=limit_s)
-    except subprocess.TimeoutExpired:
+    log = tree.parent / f"{tree.name}.log"
+    process = PROCESSES.Process(target=pytest_process, args=(tree, names, log))
+    process.start()
+    process.join(limit_s)
+    if process.exitcode is None:
         os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        process.join()
         return "timed out", ""
+    if process.exitcode == NOT_THE_COPY:
+        raise RuntimeError(f"tests import another warpdiff than that of {tree}")
     # No test failed, or none was there to run.
-    if process.returncode in {0, 5}:
+    if process.exitcode in {0, 5}:
         return "survived", ""
+    text = log.read_text(encoding="utf-8", errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+?)(?:\[.*)?(?: - .*)?$", text, re.MULTILINE)
-    return "killed", failed[1] if failed else f"exit {process.returncode}"
+    return "killed", failed[1] if failed else f"exit {process.exitcode}"
 
 
 def run_mutant(mutant: Mutant, tree: Path, selection: Selection) -> dict[str, Any]:
@@ -200,7 +230,7 @@ def run_mutant(mutant: Mutant, tree: Path, selection: Selection) -> dict[str, An
     begin = time.perf_counter()
     path = tree / mutant.path
     source = path.read_bytes()
-    text = source.decode().splitlines()[mutant.line - 1].strip()
+    text, changed = (part.decode().splitlines()[mutant.line - 1].strip() for part in (source, mutant.apply(source)))
     names, tests_s = selection.of(mutant)
     result, killer = "survived", ""
     if mutant.is_equivalent(source):
@@ -213,7 +243,7 @@ def run_mutant(mutant: Mutant, tree: Path, selection: Selection) -> dict[str, An
             path.write_bytes(source)
     return {
         "key": mutant.key, "package": mutant.package, "path": mutant.path, "line": mutant.line, "old": mutant.old,
-        "new": mutant.new, "text": text, "result": result, "killer": killer, "tests": len(names),
+        "new": mutant.new, "text": text, "changed": changed, "result": result, "killer": killer, "tests": len(names),
         "seconds": round(time.perf_counter() - begin, 2),
     }  # fmt: skip
 
@@ -263,10 +293,10 @@ def write_report(output: Path, seed: str, records: list[dict[str, Any]], judged:
             f"{row['score without equivalent']:.1%} |"
         )
     table = "\n".join(lines)
-    listed = ["", "| survivor | change | line | equivalent because |", "| --- | --- | --- | --- |"]
+    listed = ["", "| survivor | line | changed line | equivalent because |", "| --- | --- | --- | --- |"]
     for r in survivors:
-        cells = (f"{r['path']}:{r['line']}", f"`{r['old']}` → `{r['new']}`", f"`{r['text']}`", judged.get(r["key"], ""))
-        listed.append(f"| {' | '.join(cell.replace('|', chr(92) + '|').replace(chr(10), ' ') for cell in cells)} |")
+        cells = (f"{r['path']}:{r['line']}", f"`{r['text']}`", f"`{r['changed']}`", judged.get(r["key"], ""))
+        listed.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     (output / "mutants.md").write_text("\n".join([f"Seed {seed}", "", table, *listed, ""]), encoding="utf-8")
     return table
 
@@ -285,6 +315,7 @@ def main() -> int:
     parser.add_argument("--packages", nargs="+", choices=[*PACKAGES, "native"], help="run only these (all)")
     parser.add_argument("--jobs", type=int, default=2, help="number of changes at a time (2)")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no change after this time (no limit)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
     parser.add_argument("--output", type=Path, default=Path("bench_results/mutants"), help="(bench_results/mutants)")
     parser.add_argument("--judged", type=Path, help="JSON file of equivalent changes: reasons by key")
     parser.add_argument("--again", action="store_true", help="run survivors of the last run again")
@@ -301,7 +332,7 @@ def main() -> int:
     finished = {key for key, record in records.items() if not (options.again and record["result"] == "survived")}
     trees = [TREES / f"tree{job}" for job in range(options.jobs)]
     digests = [copy_tree(tree) for tree in trees]
-    selection = Selection(measured_tests(trees[0], digests[0], options.output.resolve(), options.jobs))
+    selection = Selection(measured_tests(trees[0], digests[0], options.output.resolve(), options.jobs), options.seconds)
     for tree in trees:
         compile_sources(tree)
     lock = threading.Lock()
@@ -317,7 +348,7 @@ def main() -> int:
             records[mutant.key] = record
             with log.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record, ensure_ascii=False) + "\n")
-            print(*(record[name] for name in ("result", "seconds", "path", "line", "old", "new", "killer")), flush=True)
+            print(*(record[name] for name in ("result", "seconds", "path", "line", "changed", "killer")), flush=True)
 
     with ThreadPoolExecutor(options.jobs) as executor:
         list(executor.map(run, [mutant for mutant in mutants if mutant.key not in finished]))

@@ -74,11 +74,11 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
     """Record one test, with the fixtures that are made for it."""
     sys.settrace(_trace)
     _executed.clear()
-    begin = time.perf_counter()
+    begin = time.process_time()
     result = yield
     name = function_of(item.nodeid)
     _by_test[name] |= _executed
-    _seconds[name] += time.perf_counter() - begin
+    _seconds[name] += time.process_time() - begin
     return result
 
 
@@ -90,6 +90,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def pytest_sessionfinish() -> None:
     """Write what was recorded."""
+    sys.settrace(None)
     result = {}
     for name, executed in _by_test.items():
         if name in _failed or not executed:
