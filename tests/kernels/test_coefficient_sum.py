@@ -1,0 +1,48 @@
+"""Sums over wavelengths and coefficients: interpolated reflectances, and copies to a tight tolerance."""
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere, noise
+
+import warpdiff as wd
+from warpdiff.kernels import coefficient_sum
+
+
+@wp.kernel(module="unique")
+def reflectances_of(
+    quadrature: coefficient_sum.Quadrature, scattering_vectors: wp.array(dtype=wp.vec3d),
+    wavenumbers: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float32),
+):  # fmt: skip
+    i = wp.tid()
+    result[i] = coefficient_sum.reflectance_of(quadrature, scattering_vectors[i], wavenumbers[i])
+
+
+def test_reflectances_of_a_material_are_bilinear(rng):
+    """Between entries, and at the ends of either axis."""
+
+    def reflectance(row, column):
+        return 0.1 + 0.05 * row + 0.02 * column + 0.01 * row * column
+
+    quadrature = coefficient_sum.Quadrature()
+    quadrature.reflectances = wp.array(reflectance(*np.mgrid[:5, :8]), dtype=wp.float32, device="cpu")
+    quadrature.least_nm = 380.0
+    cosines, nanometres = rng.uniform(0.0, 1.0, 60), rng.uniform(380.0, 387.0, 60)
+    cosines[:3], nanometres[2:5] = (0.0, 1.0, 1.0), (380.0, 387.0, 387.0)
+    vectors = -2.0 * cosines[:, None] * hemisphere(rng, 60)
+    result = wp.zeros(60, dtype=wp.float32, device="cpu")
+    places = (
+        wp.array(vectors, dtype=wp.vec3d, device="cpu"), wp.array(1e3 / nanometres, dtype=wp.float64, device="cpu"),
+    )  # fmt: skip
+    wp.launch(reflectances_of, 60, [quadrature, *places], [result], device="cpu")
+    np.testing.assert_allclose(result.numpy(), reflectance(4.0 * cosines, nanometres - 380.0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("periods", [(1, 1), (2, 3)])
+def test_colours_of_copies_to_a_tight_tolerance(periods, rng):
+    heightfield, coherence = noise((6, 16)), wd.Coherence("replicas", periods=periods)
+    lights, views = hemisphere(rng, 20, 0.3), hemisphere(rng, 20, 0.3)
+    given = {"to_light": lights, "to_view": views, "coherence": coherence, "tolerance": 1e-5}
+    exact = wd.reflectance(heightfield, method="direct", **given)
+    found = wd.reflectance(heightfield, **given)
+    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-5 * exact.max())

@@ -1,0 +1,36 @@
+"""Cost model: what its numbers are proportional to."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import noise
+
+import warpdiff as wd
+from warpdiff.planner import cost_model
+
+
+def sampling(heightfield, plan, **changes):
+    """Cost of one direction of a plan that takes all its wavelengths."""
+    plan = dataclasses.replace(plan, adaptive=False, **changes)
+    return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
+
+
+def test_samples_of_the_copies_factor_cost_in_proportion_to_their_number():
+    heightfield = noise((6, 16))
+    plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8], coherence=wd.Coherence("replicas", periods=(2, 3)))
+    costs = [sampling(heightfield, plan, subdivisions=n) for n in (1, 2, 4)]
+    assert costs[2] - costs[1] == pytest.approx(2.0 * (costs[1] - costs[0]))
+    assert costs[0] < costs[1]
+
+
+def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbours():
+    heightfield = noise((6, 16))
+    plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
+    cost = sampling(heightfield, plan)
+    assert sampling(heightfield, plan, wavelengths=2 * plan.wavelengths) == pytest.approx(2.0 * cost)
+    assert sampling(heightfield, plan, terms=plan.terms + 8) > cost
+    # Neighbours lie in an ellipse whose axes grow with the root of the exponent.
+    costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
+    sides = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
