@@ -1,0 +1,67 @@
+"""Light samples: what is interpolated by angle, and footprints under a light with an extent."""
+
+import numpy as np
+import warp as wp
+from conftest import hemisphere
+
+from warpdiff.kernels import light_samples, thresholds
+from warpdiff.kernels.structs import Footprint, Pixels
+
+COUNT = 100
+
+
+@wp.kernel(module="unique")
+def interpolated(
+    reflection: light_samples.Reflection, directions: wp.array(dtype=wp.vec3f),
+    energy_out: wp.array(dtype=wp.float32), transmittance_out: wp.array(dtype=wp.vec3f),
+):  # fmt: skip
+    i = wp.tid()
+    energy_out[i] = light_samples.energy_factor(reflection, directions[i])
+    transmittance_out[i] = light_samples.transmittance(reflection, 1, directions[i][2])
+
+
+def array(values, dtype):
+    return wp.array(values, dtype=dtype, device="cpu")
+
+
+def test_factors_are_linear_between_angles(rng):
+    """Energy by √(1 − cos θ) and by |x| + |y| around; transmittances by cos θ."""
+    directions = hemisphere(rng, COUNT, thresholds.LOWEST)
+    energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(2, 6, 3))
+    reflection = light_samples.Reflection()
+    reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
+    found, through = wp.zeros(COUNT, dtype=wp.float32, device="cpu"), wp.zeros(COUNT, dtype=wp.vec3f, device="cpu")
+    wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [found, through], device="cpu")
+    x, y, z = directions.T
+    rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
+    share = y / (np.abs(x) + np.abs(y))
+    # A quarter of a turn is two of eight columns; the last is followed by the first.
+    columns = 2.0 * np.where(x < 0.0, 2.0 - share, share % 4.0)
+    around = np.column_stack([energy, energy[:, 0]])
+    by_column = np.array([[np.interp(c, np.arange(9), row) for row in around] for c in columns])
+    expected = [np.interp(r, np.arange(5), values) for r, values in zip(rows, by_column, strict=True)]
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-4)
+    for channel in range(3):
+        linear = np.interp(5.0 * z, np.arange(6), transmittances[1, :, channel])
+        np.testing.assert_allclose(through.numpy()[:, channel], linear, rtol=1e-4)
+
+
+def test_a_lights_extent_adds_its_covariance(rng):
+    pixels, lights = Pixels(), light_samples.Lights()
+    tangents, normals = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
+    bitangents = np.cross(normals, tangents)
+    pixels.tangent, pixels.bitangent = array(tangents, wp.vec3f), array(bitangents, wp.vec3f)
+    deviations = rng.normal(size=(2, 2, 3))
+    lights.deviations = array(deviations, wp.vec3f)
+    footprints = rng.normal(size=(COUNT, 4))
+    found = array(footprints, Footprint)
+    wp.launch(light_samples.add_light_extent, (1, 1), [lights, 1, pixels, 0, COUNT], [found], device="cpu")
+
+    def covariances(values):
+        changes = values.reshape(-1, 2, 2)
+        return np.swapaxes(changes, 1, 2) @ changes
+
+    axes = np.stack([tangents, bitangents], axis=1)
+    added = axes @ deviations[1].T
+    expected = covariances(footprints) + added @ np.swapaxes(added, 1, 2)
+    np.testing.assert_allclose(covariances(found.numpy().astype(float)), expected, rtol=1e-3, atol=1e-4)
