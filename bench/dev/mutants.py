@@ -36,10 +36,14 @@ from bench.dev.mutant_sites import NATIVE, PACKAGES, Mutant, draw, header_mutant
 
 ROOT = Path(__file__).resolve().parents[2]
 TREES = Path(tempfile.gettempdir(), "warpdiff-mutants", hashlib.sha256(str(ROOT).encode()).hexdigest()[:8])
-# Folders of tests that may run; others test interfaces, files and signals.
-TESTS = (
-    "optics", "diffraction", "evaluate", "planner", "kernels", "properties", "tables", "lights", "render", "baked",
-    "device", "request", "scene",
+# Tests that may run; others are of interfaces, files and signals.
+TESTS = tuple(
+    f"tests/{name}"
+    for name in (
+        "optics/", "diffraction/", "evaluate/", "planner/", "kernels/", "properties/", "tables/", "lights/", "render/",
+        "baked/", "device/", "request/", "scene/", "robustness/test_bad_input.py", "robustness/test_refusals.py",
+        "robustness/test_memory.py",
+    )
 )  # fmt: skip
 # Limit: time after which a change has timed out, relative to its tests' time, and to compile kernels [s].
 PATIENCE, COMPILE_S = 4.0, 60.0
@@ -100,8 +104,7 @@ def measured_tests(tree: Path, digests: dict[str, str], output: Path, jobs: int)
     path = output / "tests.json"
     known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"digests": {}, "tests": {}}
     same = {name for name, digest in digests.items() if known["digests"].get(name) == digest}
-    changed = [name for name in digests if name.split("/")[1:2] and name.split("/")[1] in TESTS]
-    changed = [name for name in changed if name not in same or "" not in same]
+    changed = [name for name in digests if name.startswith(TESTS) and (name not in same or "" not in same)]
     if changed:
         folder = tree.parent / "tests"
         shutil.rmtree(folder, ignore_errors=True)
@@ -167,12 +170,12 @@ class Selection:
         them before others and fast ones before slow ones. Other functions that execute the module follow.
         """
         kernels = self._kernels_of(mutant) if mutant.package in {"kernels", "native"} else set()
-        stem = Path(mutant.path).stem
+        stem, folder = Path(mutant.path).stem, "kernels" if mutant.package == "native" else mutant.package
         ranked = []
         for name, lines in self._lines.items():
             executed = lines.get(mutant.path, set())
             hits = bool(executed & set(mutant.lines)) or bool(kernels & lines.get("kernels", set()))
-            places = (f"tests/{mutant.package}/test_{stem}.py", f"tests/{mutant.package}/", "tests/properties/", "")
+            places = (f"tests/{folder}/test_{stem}.py", f"tests/{folder}/", "tests/properties/", "")
             place = next(number for number, prefix in enumerate(places) if name.startswith(prefix))
             if hits or executed or place == 0 or (mutant.at_import and place == 1):
                 ranked.append((not hits, place, self._tests[name]["seconds"], name))

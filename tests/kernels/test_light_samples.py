@@ -1,11 +1,12 @@
 """Light samples: what is interpolated by angle, and footprints under a light with an extent."""
 
 import numpy as np
+import pytest
 import warp as wp
 from conftest import hemisphere
 
 from warpdiff.kernels import light_samples, thresholds
-from warpdiff.kernels.structs import Footprint, Pixels
+from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 COUNT = 100
 
@@ -65,3 +66,44 @@ def test_a_lights_extent_adds_its_covariance(rng):
     added = axes @ deviations[1].T
     expected = covariances(footprints) + added @ np.swapaxes(added, 1, 2)
     np.testing.assert_allclose(covariances(found.numpy().astype(float)), expected, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng):
+    """Rays that are a small part of a pixel apart meet the plane of a face where the light has another direction."""
+    corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
+    plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    place, eye = np.array([0.4, -0.3, 0.7]), np.array([1.5, 1.0, 2.0])
+    back = eye / np.linalg.norm(eye)
+    right = np.cross([0.0, 1.0, 0.0], back) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], back))
+    up = np.cross(back, right)
+    half, width, height, deviation = np.array([0.2, 0.15]), 16, 12, 0.5
+
+    def met(x, y):
+        """Where the ray at a place of the picture meets the plane, and the direction back along it."""
+        across = x * right + y * up
+        origin, along = (eye + across, -back) if orthographic else (eye, across - back)
+        return origin + along * (plane @ (corners[0] - origin)) / (plane @ along), -along / np.linalg.norm(along)
+
+    def towards(point):
+        return (place - point) / np.linalg.norm(place - point)
+
+    camera, surface, pixels, lights = Camera(), SurfaceArrays(), Pixels(), light_samples.Lights()
+    camera.axes = array([eye, right, up, back, (*half, 0.0)], wp.vec3d)
+    camera.orthographic, camera.width, camera.height = orthographic, width, height
+    surface.positions, surface.faces = array(corners, wp.vec3f), array([[0, 1, 2]], wp.int32)
+    lights.places = array([(0.0, 0.0, 1.0, 0.0), (*place, 1.0)], wp.vec4d)
+    x, y = rng.uniform(-0.15, 0.15, (2, COUNT))
+    hits = [met(*at) for at in zip(x, y, strict=True)]
+    tangents, bitangents = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
+    pixels.hit, pixels.face = array(np.ones(COUNT), wp.int32), array(np.zeros(COUNT), wp.int32)
+    pixels.to_view, pixels.shadow_origin = array([v for _, v in hits], wp.vec3f), array([p for p, _ in hits], wp.vec3f)
+    pixels.tangent, pixels.bitangent = array(tangents, wp.vec3f), array(bitangents, wp.vec3f)
+    found = array(np.ones((COUNT, 4)), Footprint)
+    inputs = [camera, surface, pixels, lights, 1, deviation, 0, COUNT]
+    wp.launch(light_samples.add_light_rotation, (1, 1), inputs, [found], device="cpu")
+    steps = np.diag([2.0, -2.0]) * deviation * half / (width, height) * 1e-3
+    for i in range(COUNT):
+        turns = [1e3 * (towards(hits[i][0]) - towards(met(x[i] + dx, y[i] + dy)[0])) for dx, dy in steps]
+        expected = 1.0 + np.array([turn @ axis for turn in turns for axis in (tangents[i], bitangents[i])])
+        np.testing.assert_allclose(found.numpy()[i], expected, atol=1e-4)
