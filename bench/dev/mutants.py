@@ -269,7 +269,8 @@ def summary(records: list[dict[str, Any]], judged: dict[str, str]) -> list[dict[
     for name, group in groups.items():
         results = Counter(r["result"] for r in group)
         detected = sum(results[result] for result in DETECTED)
-        equivalent = sum(r["result"] == "survived" and r["key"] in judged for r in group)
+        reasons = [judged.get(r["key"], "") for r in group if r["result"] == "survived"]
+        equivalent = sum(reason.startswith("equivalent") for reason in reasons)
         count = detected + results["survived"]
         low, high = wilson(detected, count)
         rows.append({
@@ -296,7 +297,7 @@ def write_report(output: Path, seed: str, records: list[dict[str, Any]], judged:
             f"{row['score without equivalent']:.1%} |"
         )
     table = "\n".join(lines)
-    listed = ["", "| survivor | line | changed line | equivalent because |", "| --- | --- | --- | --- |"]
+    listed = ["", "| survivor | line | changed line | judged |", "| --- | --- | --- | --- |"]
     for r in survivors:
         cells = (f"{r['path']}:{r['line']}", f"`{r['text']}`", f"`{r['changed']}`", judged.get(r["key"], ""))
         listed.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
@@ -320,8 +321,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no change after this time (no limit)")
     parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
     parser.add_argument("--output", type=Path, default=Path("bench_results/mutants"), help="(bench_results/mutants)")
-    parser.add_argument("--judged", type=Path, help="JSON file of equivalent changes: reasons by key")
-    parser.add_argument("--again", action="store_true", help="run survivors of the last run again")
+    parser.add_argument("--judged", type=Path, help='JSON file: "equivalent: why" or "accepted: why" by key')
+    parser.add_argument("--again", action="store_true", help="run survivors that are not judged again")
     options = parser.parse_args()
     end = time.monotonic() + 60.0 * options.minutes
     head = ["git", "rev-parse", "HEAD"]
@@ -329,10 +330,11 @@ def main() -> int:
     mutants = in_turns(draw(ROOT, seed, options.count), list(header_mutants(ROOT)))
     mutants = [mutant for mutant in mutants if not options.packages or mutant.package in options.packages]
     options.output.mkdir(parents=True, exist_ok=True)
+    judged = json.loads(options.judged.read_text(encoding="utf-8")) if options.judged else {}
     log = options.output / "results.jsonl"
     lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
     records = {record["key"]: record for record in map(json.loads, lines)}
-    finished = {key for key, record in records.items() if not (options.again and record["result"] == "survived")}
+    again = {key for key, r in records.items() if options.again and r["result"] == "survived" and key not in judged}
     trees = [TREES / f"tree{job}" for job in range(options.jobs)]
     digests = [copy_tree(tree) for tree in trees]
     selection = Selection(measured_tests(trees[0], digests[0], options.output.resolve(), options.jobs), options.seconds)
@@ -353,9 +355,10 @@ def main() -> int:
                 file.write(json.dumps(record, ensure_ascii=False) + "\n")
             print(*(record[name] for name in ("result", "seconds", "path", "line", "changed", "killer")), flush=True)
 
+    # Survivors come first.
+    mutants.sort(key=lambda mutant: mutant.key not in again)
     with ThreadPoolExecutor(options.jobs) as executor:
-        list(executor.map(run, [mutant for mutant in mutants if mutant.key not in finished]))
-    judged = json.loads(options.judged.read_text(encoding="utf-8")) if options.judged else {}
+        list(executor.map(run, [mutant for mutant in mutants if mutant.key not in records or mutant.key in again]))
     drawn = {mutant.key for mutant in mutants}
     print(write_report(options.output, seed, [r for key, r in records.items() if key in drawn], judged))
     return 0
