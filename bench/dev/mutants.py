@@ -166,7 +166,7 @@ class Selection:
     def of(self, mutant: Mutant) -> tuple[list[str], float]:
         """Return test functions, and their time without the change [s].
 
-        Functions that execute the changed line, or launch a kernel that it changes, come first, the most specific of
+        Those of the module's own file, or that execute the changed line or launch a kernel that it changes, come first, the most specific of
         them before others and fast ones before slow ones. Other functions that execute the module follow.
         """
         kernels = self._kernels_of(mutant) if mutant.package in {"kernels", "native"} else set()
@@ -178,7 +178,7 @@ class Selection:
             places = (f"tests/{folder}/test_{stem}.py", f"tests/{folder}/", "tests/properties/", "")
             place = next(number for number, prefix in enumerate(places) if name.startswith(prefix))
             if hits or executed or place == 0 or (mutant.at_import and place == 1):
-                ranked.append((not hits, place, self._tests[name]["seconds"], name))
+                ranked.append((not hits and place > 0, place, self._tests[name]["seconds"], name))
         selected, total = [], 0.0
         for *_, seconds, name in sorted(ranked):
             if not selected or total + seconds <= self._most_s:
