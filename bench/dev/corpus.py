@@ -142,12 +142,14 @@ def coated_metal() -> Any:
 
 def image_values(image: Any) -> Values:
     """Arrays and layers of a picture, and the numbers of its plan."""
-    return {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {}) | plan_values(image.plan)
+    arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
+    return arrays | plan_values(image.plan, getattr(image, "report", None))
 
 
-def plan_values(plan: Any) -> Values:
-    """The numbers of a plan."""
-    return {f"plan.{name}": str(value) if value is None else value for name, value in plan_numbers(plan).items()}
+def plan_values(plan: Any, report: Any = None) -> Values:
+    """The numbers of a plan and of a picture's report."""
+    numbers = plan_numbers(plan, report)
+    return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 
 
 def named(prefix: str, values: Values) -> Values:

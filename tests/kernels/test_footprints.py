@@ -12,9 +12,11 @@ from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.base import lobes_of
+from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.render.accumulators import Accumulators
 from warpdiff.render.picture import Picture
+from warpdiff.render.pixel_sampler import LobeIndex
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
 from warpdiff.tables.footprint_weights import footprint_taps
@@ -220,11 +222,15 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
         "far": wd.View((500.0, 1600.0, 3100.0), (0.0, 0.0, 0.0), fov_y_deg=0.03, **size),
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
-    frame = Picture(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
-    frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
-    frame.scatter(0, 0)
-    rays, pixels, result = frame.rays, frame.gbuffer.pixels, frame.gbuffer.footprints
-    launch_pipeline([rays.footprints(frame.gbuffer, deviation)], 48 * 36, **rays.options)
+    optics = SurfaceOptics(SHORT, 1.0, 0.04, shadows=False)
+    picture = Picture(surface, camera, optics, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
+    (part,) = LIGHT.parts(SHORT, tolerance=1e-1, single_lobe=True, name="light")
+    picture.set_lights([part])
+    sums = Accumulators.allocate(48 * 36, means=True, device=wp.get_device("cpu"))
+    picture.sampler.scatter(0, LobeIndex(0, 0), sums)
+    batch = picture.sampler.batch(sums, deviation=deviation)
+    picture.rays.launch([part.make_pass(picture.context).filter_footprints(batch)])
+    pixels, result = batch.gbuffer.pixels, batch.samples.footprints
     hit = np.flatnonzero(pixels.hit.numpy())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]

@@ -15,7 +15,9 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
-from warpdiff.image.image import Image, lengths, relative_errors
+from warpdiff.image.error_model import lengths, relative_errors
+from warpdiff.image.image import Image
+from warpdiff.image.report import Report
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
@@ -165,7 +167,9 @@ def reflectance_map(
     mask = coverage > 0.0
     error = np.zeros(mask.shape, dtype=np.float32)
     error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
-    return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan)
+    tolerance = call.plan.tolerance
+    report = Report.of(error, mask, None, tolerance=tolerance, refined_share=0.0, light_sample_count=1)
+    return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan, report=report)
 
 
 @accepts(BrdfSettings)

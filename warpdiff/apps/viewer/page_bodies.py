@@ -10,7 +10,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.core import disk_cache
-from warpdiff.render.picture import Picture
+from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import Surface, prepare_surface
 
 if TYPE_CHECKING:
@@ -88,10 +88,9 @@ def local_directions(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
     )  # fmt: skip
-    picture = Picture(surface, one, smooth=smooth, device=device, threads=threads)
-    picture.set_view(one)
-    picture.trace(0)
-    pixels = picture.gbuffer.pixels
+    rays = rays_for(surface, one, smooth=smooth, device=device, threads=threads)
+    rays.launch(rays.trace(0, 1))
+    pixels = rays.gbuffer.pixels
     if not pixels.hit.numpy()[0]:
         return None
     axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)

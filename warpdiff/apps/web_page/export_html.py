@@ -18,7 +18,7 @@ from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance,
 from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
-from warpdiff.lights.base import MOST_POWER, lobes_of
+from warpdiff.lights.base import MOST_POWER
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -111,7 +111,7 @@ def export_html(
             "lights": [
                 {"to_light": lobe.to_light, "position": lobe.position, "power": lobe.power,
                  "deviation": 0.0 if lobe.deviations is None else float(np.linalg.norm(lobe.deviations[0]))}
-                for light in checked_lights for lobe in lobes_of(light, single_lobe=True)
+                for light in checked_lights for lobe in light.lobes(single_lobe=True)
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
