@@ -61,9 +61,11 @@ AXIS = (0.0, -0.8, -0.6)
 def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     body, position = meshes.tube(segments_along=48, segments_around=24), (0.3, 1.7, 1.4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
-    options = {"coherence": wd.Coherence(sigma_um=4.0), "tolerance": 3e-2, "pigment": 0.0, "refine": False}
+    coherence = wd.Coherence(sigma_um=4.0)
+    # Both have the same table: plans for darker directions differ within the tolerance.
+    plan = wd.plan(fingers, coherence=coherence, integration="table", tolerance=0.1)
     point, spot = (
-        wd.shade(body, fingers, light, view, layers=("depth",), **options)
+        wd.shade(body, fingers, light, view, plan=plan, pigment=0.0, refine=False, layers=("depth",))
         for light in (wd.PointLight(position), SpotLight(position, axis=AXIS))
     )
     frame = view.frame()

@@ -75,7 +75,10 @@ class DeviceTiles:
         """Launch a call over all pixels."""
         launch_pipeline([call], self._pixels, **self._options)
 
-    def begin(self, light: LightRefinement, *, keeps_tiles: bool) -> None:  # noqa: ARG002 (of the host)
+    def keep_tiles(self, *, keep: bool) -> None:
+        """Keep nothing: the device completes one picture."""
+
+    def begin(self, light: LightRefinement) -> None:
         """Begin a light: find the floor by a histogram, as the host's exact percentile would need the host."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])

@@ -198,8 +198,11 @@ class TileExecutor(Protocol):
     def count(self) -> int:
         """Number of pixels that were subdivided, of the light of which these are most."""
 
-    def begin(self, light: LightRefinement, *, keeps_tiles: bool) -> None:
-        """Begin a light: find the floor; with ``keeps_tiles`` tiles of a coarser tolerance are found again."""
+    def keep_tiles(self, *, keep: bool) -> None:
+        """Forget what tiles gave, and from now on keep it for finer tolerances, or do not."""
+
+    def begin(self, light: LightRefinement) -> None:
+        """Begin a light at a tolerance: find the floor."""
 
     def groups(self, light: LightRefinement) -> Iterator[Any]:
         """Yield the groups of the marked pixels, whose tiles are those pixels and the ones around."""
@@ -239,20 +242,19 @@ class RefinementLoop:
         previews = previews if self.tiles.makes_previews else ()
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
+        self.tiles.keep_tiles(keep=len(previews) > 0)
         for index, tolerance in enumerate(tolerances):
             part = subprogress(progress, index / len(tolerances), (index + 1) / len(tolerances))
             policy = replace(light.policy, tolerance=tolerance)
-            self._subdivide(replace(light, policy=policy), part, keeps_tiles=len(previews) > 0)
+            self._subdivide(replace(light, policy=policy), part)
             if index < len(previews):
                 previews[index][1]()
                 for array, values in zip(light._resolved, unrefined, strict=True):
                     array.numpy()[:] = values
 
-    def _subdivide(
-        self, light: LightRefinement, progress: Callable[[float], None] | None, *, keeps_tiles: bool
-    ) -> None:
+    def _subdivide(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         tiles = self.tiles
-        tiles.begin(light, keeps_tiles=keeps_tiles)
+        tiles.begin(light)
         tiles.launch(light.estimate_errors(tiles.floor, tiles.marks), tiles.marks)
         for group in tiles.groups(light) if light.policy.subdivides else ():
             first, last = group.share

@@ -105,10 +105,13 @@ class ThreadedTiles:
     def _array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
-    def begin(self, light: LightRefinement, *, keeps_tiles: bool) -> None:
-        """Begin a light: find the floor; with ``keeps_tiles`` tiles of a coarser tolerance are found again."""
+    def keep_tiles(self, *, keep: bool) -> None:
+        """Forget what tiles gave, and from now on keep it for finer tolerances, or do not."""
+        self._shaded = _ShadedTiles() if keep else None
+
+    def begin(self, light: LightRefinement) -> None:
+        """Begin a light at a tolerance: find the floor by an exact percentile."""
         self.count = 0 if light.is_first else self.count
-        self._shaded = (self._shaded or _ShadedTiles()) if keeps_tiles else None
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._marked = np.zeros(self._rays.size, dtype=np.uint8)
@@ -133,7 +136,7 @@ class ThreadedTiles:
             light.light_pass.prepare_cells(len(pixels))
         if len(pixels) > _MOST_PIXELS:
             # Tiles between groups see what the group before has changed.
-            self._shaded = None
+            self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))
             yield self._group(light, pixels[first:last], (first / len(pixels), last / len(pixels)))
