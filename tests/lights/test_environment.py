@@ -310,6 +310,7 @@ def test_a_tree_of_cells_holds_their_areas_and_middles():
         assert (below[:, 1] <= spans[node, 1]).all()
 
 
+@pytest.mark.slow
 def test_a_window_on_a_tube_is_that_of_sums_over_directions():
     # Footprints are streaks here, and the horizon cuts orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
