@@ -252,7 +252,9 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # The library makes these, not a user; errors and warnings accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period"}
-MADE_BY_THE_LIBRARY |= {"ToleranceError", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
+# Methods that pictures call, with arguments that are checked before.
+CALLED_BY_PICTURES = {"lobes", "parts"}
 # ``self`` where it is not fuzzed, by a call, and the arguments whose strategy it takes where it is.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
@@ -307,7 +309,11 @@ def public():
             yield name, member, None
         if inspect.isclass(member):
             for key, value in vars(member).items():
-                if not key.startswith("_") and (inspect.isfunction(value) or isinstance(value, classmethod)):
+                if (
+                    key[0] != "_"
+                    and key not in CALLED_BY_PICTURES
+                    and (inspect.isfunction(value) or isinstance(value, classmethod))
+                ):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 
 

@@ -181,8 +181,8 @@ def test_a_saved_plan_is_the_same_plan(rough, kind, tmp_path):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"format": "another"}, "is not a plan"), ({"terms": 0}, "terms must be an integer, at least 1, got 0"),
-     ({"coherence": 3}, "is not a plan"), ({"more": 1}, "is not a plan")],
+    [({"format": "another"}, "must be a plan"), ({"terms": 0}, "terms must be an integer, at least 1, got 0"),
+     ({"coherence": 3}, "must be a plan"), ({"more": 1}, "must be a plan")],
 )  # fmt: skip
 def test_a_damaged_plan_is_refused(rough, change, message, tmp_path):
     path = wd.plan(rough, UP, UP).save(tmp_path / "plan.json")
@@ -190,7 +190,7 @@ def test_a_damaged_plan_is_refused(rough, change, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         wd.Plan.load(path)
     path.write_text(path.read_text()[:-5])
-    with pytest.raises(ValueError, match="is not a plan"):
+    with pytest.raises(ValueError, match="must be a plan"):
         wd.Plan.load(path)
 
 

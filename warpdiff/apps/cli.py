@@ -563,6 +563,7 @@ def _check_output(options: argparse.Namespace) -> None:
 def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.float32] | None = None) -> None:
     saving = given(options, describe(wd.Image.save)) | ({} if background is None else {"background": background})
     path = image.save(options.output, **saving)
+    print(image.report)
     print(image.plan)
     print(path)
 

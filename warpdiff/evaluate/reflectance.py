@@ -17,7 +17,7 @@ from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
 from warpdiff.image.error_model import lengths, relative_errors
 from warpdiff.image.image import Image
-from warpdiff.image.report import Report
+from warpdiff.image.report import report_of
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
@@ -168,7 +168,7 @@ def reflectance_map(
     error = np.zeros(mask.shape, dtype=np.float32)
     error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
     tolerance = call.plan.tolerance
-    report = Report.of(error, mask, None, tolerance=tolerance, refined_share=0.0, light_sample_count=1)
+    report = report_of(error, mask, None, tolerance=tolerance, refined_share=0.0, light_sample_count=1)
     return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan, report=report)
 
 

@@ -43,31 +43,6 @@ class Report:
     unconverged_edge_share: float
     light_sample_count: int
 
-    @classmethod
-    def of(
-        cls, error: NDArray[np.float32], illuminated: NDArray[np.bool_], edges: NDArray[np.bool_] | None, *,
-        tolerance: float, refined_share: float, light_sample_count: int,
-    ) -> Report:  # fmt: skip
-        """Return the report on estimated errors of pixels.
-
-        Args:
-            error: Estimated relative error of each pixel, (height, width).
-            illuminated: Whether light reached the pixel.
-            edges: Whether an edge passes through it; None without refinement.
-            tolerance: Tolerance of the picture.
-            refined_share: Share of the covered pixels that were subdivided.
-            light_sample_count: Number of directions and lobes that represent the lights.
-        """
-        visible = error[illuminated]
-        median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)
-        inside = at_edges = 0.0
-        if edges is not None:
-            inside = share_beyond(error[illuminated & ~edges], tolerance)
-            at_edges = share_beyond(error[illuminated & edges], EDGES_PER_TOLERANCE * tolerance)
-        return cls(
-            tolerance, (median, percentile_99), edges is not None, refined_share, inside, at_edges, light_sample_count
-        )
-
     @property
     def is_converged(self) -> bool:
         """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges."""
@@ -104,3 +79,28 @@ class Report:
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def report_of(
+    error: NDArray[np.float32], illuminated: NDArray[np.bool_], edges: NDArray[np.bool_] | None, *,
+    tolerance: float, refined_share: float, light_sample_count: int,
+) -> Report:  # fmt: skip
+    """Return the report on estimated errors of pixels.
+
+    Args:
+        error: Estimated relative error of each pixel, (height, width).
+        illuminated: Whether light reached the pixel.
+        edges: Whether an edge passes through it; None without refinement.
+        tolerance: Tolerance of the picture.
+        refined_share: Share of the covered pixels that were subdivided.
+        light_sample_count: Number of directions and lobes that represent the lights.
+    """
+    visible = error[illuminated]
+    median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)
+    inside = at_edges = 0.0
+    if edges is not None:
+        inside = share_beyond(error[illuminated & ~edges], tolerance)
+        at_edges = share_beyond(error[illuminated & edges], EDGES_PER_TOLERANCE * tolerance)
+    return Report(
+        tolerance, (median, percentile_99), edges is not None, refined_share, inside, at_edges, light_sample_count
+    )

@@ -13,7 +13,7 @@ from warpdiff.device.kernel_calls import KernelCall, launch_pipeline
 from warpdiff.evaluate.reflectance import direct_colour
 from warpdiff.image.error_model import ErrorParts, combined_errors, relative_errors
 from warpdiff.image.image import Image
-from warpdiff.image.report import Report
+from warpdiff.image.report import report_of
 from warpdiff.kernels import light_samples, primary_hits, subdivision
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.lights.light_pass import PassContext
@@ -287,7 +287,7 @@ class Picture:
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
         subdivided = 0 if self._loop is None else self._loop.tiles.count
-        report = Report.of(
+        report = report_of(
             error, illuminated, self._cropped(sums.edges) if self._refined else None, tolerance=plan.tolerance,
             light_sample_count=sum(light.sample_count for light in self._parts),
             # Pixels are subdivided, too, of which cells alone may hit the mesh.

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import files, validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Format of saved plans, which counts up as soon as a field changes its name or meaning.
 _FORMAT = "warpdiff plan 1"
+# Limit of the size of a file that is read as a plan.
+_MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
 LABELS = {
@@ -303,6 +305,39 @@ class Plan:
         aside = f" ({', '.join(asides)})" if asides else ""
         return {"integral over λ": f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"}
 
+    def to_json(self) -> str:
+        """Return the plan as JSON, from which :meth:`from_json` makes an equal plan."""
+        return json.dumps({"format": _FORMAT} | asdict(self), indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Plan:
+        """Return the plan of a text that :meth:`to_json` wrote.
+
+        Args:
+            text: JSON.
+
+        Raises:
+            ValueError: The text is damaged, or is no plan of this version; the message names the field.
+        """
+
+        def with_tuples(values: dict[str, Any]) -> dict[str, Any]:
+            return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+        if not isinstance(text, str):
+            raise ArgumentTypeError(f"{ref('text')} must be a string, got {type(text).__name__}")
+        names, of_coherence = ({field.name for field in fields(owner)} for owner in (cls, Coherence))
+        try:
+            entries = json.loads(text)
+            is_plan = entries.pop("format") == _FORMAT and set(entries) == names
+            is_plan = is_plan and set(entries["coherence"]) == of_coherence
+        except (ValueError, TypeError, AttributeError, KeyError):
+            is_plan = False
+        if not is_plan:
+            raise ArgumentValueError(
+                f"{ref('text')} must be a plan that Plan.to_json of this version wrote, got {text!r:.40}"
+            )
+        return cls(**with_tuples(entries | {"coherence": Coherence(**with_tuples(entries["coherence"]))}))
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the plan to a JSON file, from which :meth:`load` reads an equal plan.
 
@@ -315,7 +350,7 @@ class Plan:
         target = validation.path(path, "path")
         files.check_folder(target.parent, "path")
         with files.atomic_write(target, suffix=".json") as temporary:
-            temporary.write_text(json.dumps({"format": _FORMAT} | asdict(self), indent=1), encoding="utf-8")
+            temporary.write_text(self.to_json(), encoding="utf-8")
         return target
 
     @classmethod
@@ -330,23 +365,9 @@ class Plan:
             ValueError: The file is damaged, or was not written by :meth:`save`; the message names the field.
         """
         file = validation.path(path, "path")
-        files.check_file(file)
-        try:
-            entries = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError:
-            entries = None
-        names, of_coherence = ({field.name for field in fields(owner)} for owner in (cls, Coherence))
-        is_plan = isinstance(entries, dict) and entries.get("format") == _FORMAT and set(entries) == names | {"format"}
-        if not (is_plan and isinstance(entries["coherence"], dict) and set(entries["coherence"]) == of_coherence):
-            raise ArgumentValueError(
-                f"{ref('path')}: {str(file)!r} is not a plan that Plan.save of this version wrote; save the plan again"
-            )
-
-        def with_tuples(values: dict[str, Any]) -> dict[str, Any]:
-            return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-
-        del entries["format"]
-        return cls(**with_tuples(entries | {"coherence": Coherence(**with_tuples(entries["coherence"]))}))
+        text = files.read_text(file, _MOST_BYTES)
+        with renaming({"text": f"path: {str(file)!r}"}):
+            return cls.from_json(text)
 
 
 def check_method(method: str, integration: str, coherence: Coherence) -> None:

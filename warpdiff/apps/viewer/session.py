@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import math
 import statistics
 import threading
@@ -323,7 +322,7 @@ class Studio:
                 if errors.size else None,
             }  # fmt: skip
             if stage.tolerance is not None:
-                result["plan"] = str(image.plan)
+                result["plan"] = f"{image.report}\n\n{image.plan}"
                 result["python"] = scene.python(view, scene.tolerance, saving)
                 result["command"] = scene.command(view, scene.tolerance, saving)
             session.drawn_request, session.picture = request, (image, display)
@@ -420,7 +419,7 @@ class Studio:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            return {"plan": json.dumps(dataclasses.asdict(made[0].plan))}
+            return {"plan": made[0].plan.to_json()}
 
         # No plan depends on shadows.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
@@ -428,7 +427,7 @@ class Studio:
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)
         if made:
             return made[0]
-        return wd.Renderer(surface, heightfield, lights, view, plan=_plan_of(str(arrays["plan"])), **options)
+        return wd.Renderer(surface, heightfield, lights, view, plan=wd.Plan.from_json(str(arrays["plan"])), **options)
 
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
@@ -516,17 +515,6 @@ def _view(request: PageRequest, body: Surface) -> wd.View:
     if request.camera is None:
         return page_bodies.framed(body, width, height)
     return dataclasses.replace(request.camera, width=width, height=height)
-
-
-def _plan_of(text: str) -> wd.Plan:
-    """Return the plan of a JSON text."""
-
-    def with_tuples(fields: dict[str, Any]) -> dict[str, Any]:
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
-
-    fields = with_tuples(json.loads(text))
-    fields["coherence"] = wd.Coherence(**with_tuples(fields["coherence"]))
-    return wd.Plan(**fields)
 
 
 def _nearest(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
