@@ -259,7 +259,8 @@ CALLED_BY_PICTURES = {"lobes", "parts"}
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
-    "HeightField": lambda: WAVY, "Image": picture, "Renderer": renderer, "View": lambda: VIEW, "BakedLobes": lobes,
+    "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
+    "BakedLobes": lobes,
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
@@ -276,7 +277,8 @@ LEGAL = {
 LEGAL_OF = {
     "gratings.fingers": {"size_um": 6.4}, "HeightField.cropped": {"size_um": 0.5}, "Image.save": {"path": "a.png"},
     "export_html": {"path": "a.html"}, "BakedLobes.save": {"path": "a.npz"}, "BakedSpectrum.save": {"path": "a.npz"},
-    "HeightField.save": {"path": "a.npz"}, "bake_spectrum": {"size": 16}, "Environment.load": {"path": "sky.exr"},
+    "HeightField.save": {"path": "a.npz"}, "Plan.save": {"path": "a.json"}, "Plan.load": {"path": "plan.json"},
+    "bake_spectrum": {"size": 16}, "Environment.load": {"path": "sky.exr"},
     "HeightField.load": {"path": "integers.npy", "height_range_um": 0.3},
     "Spectrum": {"wavelengths_nm": [300.0, 900.0], "values": [1.0, 2.0]},
     "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
@@ -289,6 +291,7 @@ def write_files(folder: Path) -> None:
     np.save(folder / "a.npy", WAVY.heights_um)
     np.save(folder / "integers.npy", np.arange(96, dtype=np.uint8).reshape(8, 12))
     np.save(folder / "gaps.npy", [[0.0, math.nan]])
+    plan().save(folder / "plan.json")
     sky = oiio.ImageOutput.create(str(folder / "sky.exr"))
     sky.open(str(folder / "sky.exr"), oiio.ImageSpec(4, 2, 3, "float"))
     sky.write_image(np.ones((2, 4, 3), np.float32))
@@ -309,11 +312,8 @@ def public():
             yield name, member, None
         if inspect.isclass(member):
             for key, value in vars(member).items():
-                if (
-                    key[0] != "_"
-                    and key not in CALLED_BY_PICTURES
-                    and (inspect.isfunction(value) or isinstance(value, classmethod))
-                ):
+                is_public = key[0] != "_" and key not in CALLED_BY_PICTURES
+                if is_public and (inspect.isfunction(value) or isinstance(value, classmethod)):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 
 

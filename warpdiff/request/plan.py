@@ -342,14 +342,16 @@ class Plan:
         """Write the plan to a JSON file, from which :meth:`load` reads an equal plan.
 
         Args:
-            path: Target file, which is replaced if it exists.
+            path: Target file, which ends in .json and is replaced if it exists.
 
         Returns:
             The path.
         """
         target = validation.path(path, "path")
+        if target.suffix.lower() != ".json":
+            raise ArgumentValueError(f"{ref('path')} must end in .json, got {str(path)!r}")
         files.check_folder(target.parent, "path")
-        with files.atomic_write(target, suffix=".json") as temporary:
+        with files.atomic_write(target) as temporary:
             temporary.write_text(self.to_json(), encoding="utf-8")
         return target
 
