@@ -47,27 +47,19 @@ class Light(ABC):
 
 
 class LightPart(ABC):
-    """Part of a light that pictures render by itself."""
+    """Part of a light that pictures render by itself.
 
-    @property
-    @abstractmethod
-    def spectra(self) -> tuple[str | Spectrum, ...]:
-        """The illuminants that the part consists of."""
+    Attributes:
+        spectra: The illuminants that it consists of.
+        has_lobes: Whether it consists of lobes, whose directions a plan is for; otherwise a plan is for the hemisphere.
+        has_extent: Whether light arrives from more than one direction, which requires footprints.
+        sample_count: Number of lobes or directions that represent it.
+    """
 
-    @property
-    @abstractmethod
-    def has_lobes(self) -> bool:
-        """Whether it consists of lobes, whose directions a plan is for; otherwise a plan is for the hemisphere."""
-
-    @property
-    @abstractmethod
-    def has_extent(self) -> bool:
-        """Whether light arrives from more than one direction, which requires footprints."""
-
-    @property
-    @abstractmethod
-    def sample_count(self) -> int:
-        """Number of lobes or directions that represent it."""
+    spectra: tuple[str | Spectrum, ...]
+    has_lobes: bool
+    has_extent: bool
+    sample_count: int
 
     @abstractmethod
     def make_pass(self, context: PassContext) -> LightPass:
@@ -104,26 +96,14 @@ class LobeSet(LightPart):
     """
 
     lobes: tuple[Lobe, ...]
+    has_lobes = True
 
-    @property
-    def spectra(self) -> tuple[str | Spectrum, ...]:
-        """The illuminants of the lobes."""
-        return tuple(lobe.illuminant for lobe in self.lobes)
-
-    @property
-    def has_lobes(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def has_extent(self) -> bool:
-        """Whether any lobe is more than one direction."""
-        return any(lobe.deviations is not None for lobe in self.lobes)
-
-    @property
-    def sample_count(self) -> int:
-        """Number of lobes."""
-        return len(self.lobes)
+    def __post_init__(self) -> None:
+        # Frozen: these follow from the lobes.
+        vars(self).update(
+            spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
+            has_extent=any(lobe.deviations is not None for lobe in self.lobes),
+        )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass of lobes."""

@@ -199,33 +199,19 @@ def rotated(environment: Environment, rotation_deg: float, scale: float, directi
 
 @dataclass(frozen=True, eq=False)
 class SkyPart(LightPart):
-    """The sky of an environment, without its suns.
+    """The sky of an environment, without its suns, which illuminates from the whole hemisphere.
 
     Attributes:
         maps: The maps.
     """
 
     maps: SkyMaps
+    has_lobes = False
+    has_extent = True
 
-    @property
-    def spectra(self) -> tuple[str | Spectrum, ...]:
-        """The three illuminants of the maps."""
-        return self.maps.spectra
-
-    @property
-    def has_lobes(self) -> bool:
-        """False: a sky illuminates from the whole hemisphere."""
-        return False
-
-    @property
-    def has_extent(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def sample_count(self) -> int:
-        """Number of directions that a pixel's colour is summed over."""
-        return self.maps.directions
+    def __post_init__(self) -> None:
+        # Frozen: these follow from the maps.
+        vars(self).update(spectra=self.maps.spectra, sample_count=self.maps.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass of the sky."""

@@ -294,11 +294,6 @@ class Picture:
             refined_share=min(subdivided / max(int(np.count_nonzero(coverage)), 1), 1.0),
         )  # fmt: skip
         return Image(
-            xyz=xyz,
-            mask=coverage > 0.0,
-            illuminated=illuminated,
-            coverage=coverage,
-            error=error,
-            plan=plan,
+            xyz=xyz, mask=coverage > 0.0, illuminated=illuminated, coverage=coverage, error=error, plan=plan,
             report=report,
-        )
+        )  # fmt: skip

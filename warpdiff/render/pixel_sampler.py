@@ -102,11 +102,9 @@ class PixelSampler:
         begins = is_first and sample == 0
         # Each light finds its colours of means by itself; hits count once.
         counting = Counting(
-            1.0 / count,
-            1.0 / count if is_first else 0.0,
-            begins=begins,
+            1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and index.lobe == 0),
-        )
+        )  # fmt: skip
         rays.launch([*calls, *light_pass.scatter(index.lobe, self.batch(sums), counting)])
         self._sample, self._lobe = sample, index
 
