@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, sky_sum
+from warpdiff.kernels import light_samples, octahedral_maps, sky_sum
 from warpdiff.lights import sky_cells
 from warpdiff.lights.light_pass import LightPass
 from warpdiff.optics import colorimetry
@@ -50,7 +50,7 @@ class SkyPass(LightPass):
         self._lights = light_samples.Lights()
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
-        self._map = sky_sum.SkyMap()
+        self._map = octahedral_maps.SkyMap()
         self._map.texels, self._map.sides, self._map.firsts = self.maps.device_arrays.get_or_make(
             context.device.alias, lambda: upload_maps(self.maps, context.device)
         )
