@@ -147,7 +147,7 @@ def _made(
         f"take a larger {ref('tolerance')}, or a {ref('plan')} with {{share}} of the rings",
     )  # fmt: skip
     grid, count, device = source.layout.levels[0], projection.w_basis.shape[1], options["device"]
-    kernels, projector = colour_lookup.lookup(count, source.has_lines), source.projector(count)
+    kernels = colour_lookup.lookup(count, source.has_lines)
     needed = [*source.kernels(count), kernels.interpolate, kernels.integrate]
     if any(len(terms) > 1 for terms in projection.octaves):
         needed.append(spectrum_sampling.adder(count))
@@ -159,16 +159,17 @@ def _made(
         cache.spectra.put(source.key, samples)
     curves = wp.array(projection.weights, dtype=wp.vec3f, device=device)
     flat = [matrix.reshape(-1, count) for matrix in projection.matrices]
-    matrices = [wp.array(matrix, dtype=projector.w_basis, device=device) for matrix in flat]
+    matrices = [wp.array(matrix, dtype=kernels.w_basis, device=device) for matrix in flat]
+    project_octave = source.projector(samples, curves, **options)
 
     def project(_level: int, octave: int, values: wp.array) -> None:
         terms = projection.octaves[octave]
         if terms[0].factors is None:
-            source.project(octave, samples, matrices[terms[0].projection], curves, values, **options)
+            project_octave(octave, matrices[terms[0].projection], values)
             return
         summand = wp.empty(grid.azimuths[octave] * grid.rings, dtype=kernels.row, device=device)
         for index, term in enumerate(terms):
-            source.project(octave, samples, matrices[term.projection], curves, summand, **options)
+            project_octave(octave, matrices[term.projection], summand)
             inputs = [summand, wp.array(term.factors, dtype=wp.float32, device=device), index == 0]
             launch(spectrum_sampling.adder(count), grid.azimuths[octave], inputs, [values], **options)
 

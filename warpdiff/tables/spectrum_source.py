@@ -24,6 +24,8 @@ from warpdiff.tables.table_cache import TableCache
 from warpdiff.tables.zeroth_order import ZerothOrder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -98,25 +100,23 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """The kernels that :meth:`sampled` and :meth:`project` launch."""
+        """The kernels that :meth:`sampled` and :meth:`projector` launch."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
         """Sample the spectrum, for any illuminant and material."""
 
     @abstractmethod
-    def project(
-        self, octave: int, samples: Any, matrix: wp.array, curves: wp.array, rows_out: wp.array, **options: Any
-    ) -> None:
-        """Project samples to the rows of an octave of level 0.
+    def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
+        """Return a function that projects samples to level 0.
 
         Args:
-            octave: The octave.
             samples: What :meth:`sampled` returned.
-            matrix: Coefficients of the functions of w by ring and term, which :attr:`Projection.matrices` describes.
             curves: What rings count for X, Y and Z.
-            rows_out: Rows of the octave.
             options: Options of ``launch``, among them the device.
+
+        Returns:
+            Function of an octave, of a matrix of :attr:`Projection.matrices` on the device, and of the octave's rows.
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
@@ -130,7 +130,7 @@ class SpectrumSource(ABC):
         """Bytes of the samples; lines are gathered octave by octave."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
-    def projector(self, w_basis_size: int) -> Any:
+    def projection_kernels(self, w_basis_size: int) -> Any:
         """Kernels and types of the projection to a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
@@ -147,36 +147,35 @@ class WindowedSpectrum(SpectrumSource):
 
     def kernels(self, w_basis_size: int) -> list[Any]:
         """The kernel that samples along azimuths, and the one that joins octaves of samples and projects them."""
-        return [self._sampler.resample, self.projector(w_basis_size).project]
+        return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
-    def sampled(self, **options: Any) -> wp.array:
-        """Rows of the spectrum: octave after octave, azimuth after azimuth, ring after ring."""
+    def sampled(self, **options: Any) -> list[wp.array]:
+        """Rows of the spectrum by octave, azimuth and ring; the first one and the number of azimuths of each octave."""
         grid, sampler, arguments, device = self.layout.spectrum, self._sampler, self.table.arguments, options["device"]
         excluded = arguments.origin_y * arguments.count_x + arguments.origin_x if len(self.zeroth.power) else -1
         bases = wp.array(np.ascontiguousarray(self.at_kappas.T), dtype=sampler.row, device=device)
         values = wp.empty(grid.nodes, dtype=sampler.row, device=device)
-        starts, highest = grid.starts[:: grid.rings].tolist(), self.layout.highest
+        starts, highest = grid.starts[: -1 : grid.rings].tolist(), self.layout.highest
         for octave, (azimuths, divisions) in enumerate(zip(grid.azimuths, self.layout.divisions, strict=True)):
             log_low, start = grid.log_radius + octave * math.log(2.0), starts[octave]
             inputs = [arguments, bases, azimuths, grid.rings, log_low, divisions, highest, excluded, start]
             launch(sampler.resample, azimuths, inputs, [values], **options)
-        return values
+        return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
-    def project(
-        self, octave: int, samples: Any, matrix: wp.array, curves: wp.array, rows_out: wp.array, **options: Any
-    ) -> None:
-        """Project an octave of samples and the next one."""
-        grid, device = self.layout.spectrum, options["device"]
-        kernels, azimuths = self.projector(len(matrix.dtype())), self.layout.levels[0].azimuths[octave]
-        starts = wp.array(grid.starts[: -1 : grid.rings], dtype=wp.int32, device=device)
-        counts = wp.array(grid.azimuths, dtype=wp.int32, device=device)
+    def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
+        """Project an octave of samples with the next one."""
+        azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Space for each azimuth, of which a slice on the CPU only takes that of its first ones: the rest is no memory
         # yet.
-        length = grid.rings + len(curves) - 1 + FILTER_REACH
-        sequence = wp.empty(azimuths * length, dtype=samples.dtype, device=device)
-        terms = len(self.basis.sizes)
-        inputs = [samples, starts, counts, matrix, curves, terms, grid.rings, octave, length, sequence]
-        launch(kernels.project, azimuths // kernels.abreast, inputs, [rows_out], in_runs=True, **options)
+        length = rings + len(curves) - 1 + FILTER_REACH
+        sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
+
+        def project(octave: int, matrix: wp.array, rows: wp.array) -> None:
+            kernels = self.projection_kernels(len(matrix.dtype()))
+            inputs = [*samples, matrix, curves, terms, rings, octave, length, sequence]
+            launch(kernels.project, azimuths[octave] // kernels.abreast, inputs, [rows], in_runs=True, **options)
+
+        return project
 
 
 class Lines(NamedTuple):
@@ -204,7 +203,7 @@ class LineSpectrum(SpectrumSource):
 
     def kernels(self, w_basis_size: int) -> list[Any]:
         """The kernel that gathers lines on azimuths, and the one that projects these."""
-        return [self._sampler.gather, self.projector(w_basis_size).project_lines]
+        return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
         """The lines up to the largest frequency; they are gathered octave by octave."""
@@ -227,34 +226,39 @@ class LineSpectrum(SpectrumSource):
         order = np.argsort(angles, kind="stable")
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
-    def project(
-        self, octave: int, samples: Any, matrix: wp.array, curves: wp.array, rows_out: wp.array, **options: Any
-    ) -> None:
+    def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Gather the lines of an octave, and of what a colour takes beyond it, and project them."""
-        grid, blur, sampler = self.layout.spectrum, self.layout.blurs[octave], self._sampler
-        azimuths, device, kernels = grid.azimuths[octave], options["device"], self.projector(len(matrix.dtype()))
+        grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
-        log_begin = grid.log_radius + (octave - (FILTER_REACH + 1) / grid.rings) * math.log(2.0)
-        places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
-        inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
-        angles = samples.angles[inside]
-        # A turn, and what of it reaches beyond its ends.
-        far = _LINE_RADIUS_SIGMAS * blur
-        after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
-        rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
-        repeated = inside[np.concatenate([np.arange(before, len(inside)), np.arange(len(inside)), np.arange(after)])]
-        at = 2.0 * math.pi * np.arange(azimuths) / azimuths
-        numbers = [rotated, places[repeated], np.exp(-2.0 * samples.log_frequencies[repeated])]
-        ends = [np.searchsorted(rotated, at - far), np.searchsorted(rotated, at + far)]
-        inputs = [
-            self.table.arguments.rows, wp.array(samples.rows[repeated], dtype=wp.int32, device=device),
-            *(wp.array(column, dtype=wp.float32, device=device) for column in numbers),
-            *(wp.array(column, dtype=wp.int32, device=device) for column in ends), rings, blur,
-        ]  # fmt: skip
-        values = wp.empty(azimuths * rings, dtype=sampler.row, device=device)
-        launch(sampler.gather, azimuths, inputs, [values], **options)
-        inputs = [values, matrix, curves, len(self.basis.sizes), grid.rings, rings]
-        launch(kernels.project_lines, azimuths // kernels.abreast, inputs, [rows_out], **options)
+
+        def project(octave: int, matrix: wp.array, rows: wp.array) -> None:
+            azimuths, blur = grid.azimuths[octave], self.layout.blurs[octave]
+            kernels = self.projection_kernels(len(matrix.dtype()))
+            log_begin = grid.log_radius + (octave - (FILTER_REACH + 1) / grid.rings) * math.log(2.0)
+            places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
+            inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
+            angles = samples.angles[inside]
+            # A turn, and what of it reaches beyond its ends.
+            far = _LINE_RADIUS_SIGMAS * blur
+            after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
+            rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
+            repeated = inside[
+                np.concatenate([np.arange(before, len(inside)), np.arange(len(inside)), np.arange(after)])
+            ]
+            at = 2.0 * math.pi * np.arange(azimuths) / azimuths
+            numbers = [rotated, places[repeated], np.exp(-2.0 * samples.log_frequencies[repeated])]
+            ends = [np.searchsorted(rotated, at - far), np.searchsorted(rotated, at + far)]
+            inputs = [
+                self.table.arguments.rows, wp.array(samples.rows[repeated], dtype=wp.int32, device=device),
+                *(wp.array(column, dtype=wp.float32, device=device) for column in numbers),
+                *(wp.array(column, dtype=wp.int32, device=device) for column in ends), rings, blur,
+            ]  # fmt: skip
+            values = wp.empty(azimuths * rings, dtype=sampler.row, device=device)
+            launch(sampler.gather, azimuths, inputs, [values], **options)
+            inputs = [values, matrix, curves, terms, grid.rings, rings]
+            launch(kernels.project_lines, azimuths // kernels.abreast, inputs, [rows], **options)
+
+        return project
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
