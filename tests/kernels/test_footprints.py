@@ -19,7 +19,7 @@ from warpdiff.render.picture import Picture
 from warpdiff.render.pixel_sampler import LobeIndex
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
-from warpdiff.tables.footprint_weights import footprint_taps
+from warpdiff.tables.footprint_weights import LINE_TAPS, SPECTRUM_TAPS, footprint_taps
 from warpdiff.tables.lookup import ColourLookup
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -253,14 +253,14 @@ def test_nodes_are_skipped_under_smooth_lights_alone():
 
 
 @pytest.mark.parametrize(
-    ("is_line_spectrum", "own", "worst"), [(False, 1.1, 0.03), (False, 1.8, 0.015), (True, 0.8, 0.05)]
+    ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
-def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
+def test_few_rays_blur_a_line(rule, own, worst):
     """A Gaussian anywhere between rays, as a spline through its values on them, blurred by few of the coefficients.
 
     Of a source's lines that spline itself is 3 % of their peak off.
     """
-    made = footprint_taps("cpu", is_line_spectrum=is_line_spectrum)
+    made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
     variances = np.arange(len(weights)) / made.per_variance
     np.testing.assert_allclose(weights.sum(axis=2), 1.0, atol=1e-6)
@@ -271,7 +271,7 @@ def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
         for which in range(0, weights.shape[1], 9):
             fraction = (which + 0.5) / weights.shape[1] - 0.5
             places = np.arange(count) - (count - 1) / 2.0 - fraction
-            if not is_line_spectrum:
+            if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
             # The rays' numbers, so that the middle ones are those that count.

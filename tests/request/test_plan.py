@@ -18,7 +18,8 @@ from warpdiff.diffraction import coefficient_basis, fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.tables import coefficient_table
+from warpdiff.tables import coefficient_table, table_cache
+from warpdiff.tables.table_cache import TableCache
 
 UP = [0.0, 0.0, 1.0]
 
@@ -392,7 +393,7 @@ def test_few_tables_are_kept(rough, builds):
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
     for each in scopes:
         wd.reflectance(heightfield, UP, UP, plan=each)
-    assert len(coefficient_table._cache[heightfield].coefficients) == coefficient_table._MOST_CACHED
+    assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
     # The oldest went.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
@@ -405,11 +406,11 @@ def test_tables_die_with_their_height_field(rough, builds):
     heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
     wd.reflectance(heightfield, UP, UP, method="low-rank")
     gc.collect()
-    before = len(coefficient_table._cache)
+    before = len(table_cache._caches)
     del heightfield
     gc.collect()
     assert builds[0]() is None
-    assert len(coefficient_table._cache) == before - 1
+    assert len(table_cache._caches) == before - 1
 
 
 def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
@@ -473,7 +474,7 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     heightfield = wd.HeightField.of_known_scale(heights, surface.pitch_um)
     wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
-    assert len(coefficient_table.table_cache(heightfield).fitted_to) == 0
+    assert len(TableCache.of(heightfield).fitted_to) == 0
 
 
 def test_views_of_a_plan_are_all_of_its_fields(rough):

@@ -12,6 +12,7 @@ from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.footprint_weights import footprint_taps
+from warpdiff.tables.spectrum_source import source_type
 
 if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
@@ -40,12 +41,12 @@ class ColourLookup:
         """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
-        self._colours: dict[IlluminatedMaterial, Any] = {}
+        self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
         self.derived: LruCache[Any] = LruCache()
         self._table: coefficient_table.Table | None = None
         if plan.rings_per_octave:
-            self._taps = footprint_taps(device.alias, is_line_spectrum=plan.coherence.kind == "source")
+            self._taps = footprint_taps(device.alias, source_type(plan.coherence).tap_rule)
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def accumulate(
@@ -86,8 +87,8 @@ class ColourLookup:
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether a table leaves out some directions, as those of a source do."""
-        return bool(self.plan.rings_per_octave) and self.plan.coherence.kind == "source"
+        """Whether a table excludes some directions, as those of lines do."""
+        return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     @property
     def uses_footprints(self) -> bool:
@@ -99,38 +100,33 @@ class ColourLookup:
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
         """The kernel calls of ``accumulate``."""
+        directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
-            return [self._sample(scattering_vectors, to_lights, gains, illuminated, xyz)]
+            return [self._sample([*directions, gains], illuminated, xyz)]
         if unserved_gain is None:
             unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self.device)
-        calls = [self._look_up(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)]
+        calls = [self._look_up([*directions, gains], illuminated, xyz, footprints, unserved_gain)]
         if self.needs_sampling:
-            calls.append(self._sample(scattering_vectors, to_lights, unserved_gain, illuminated, xyz))
+            calls.append(self._sample([*directions, unserved_gain], illuminated, xyz))
         return calls
 
     def _look_up(
-        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array, footprints: wp.array | None, unserved_gain: wp.array,
+        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
+        unserved_gain: wp.array,
     ) -> KernelCall:  # fmt: skip
         """Add what a table serves."""
         if illuminated not in self._colours:
-            kernel, table = colour_table.table_for(
+            table = colour_table.table_for(
                 self.heightfield, self.plan, self._range, illuminated, device=self.device, threads=self._threads
             )
-            self._colours[illuminated] = (
-                kernel,
-                table if self._zeroth_order else colour_table.without_zeroth_order(table, self.plan.coherence),
-            )
-        kernel, table = self._colours[illuminated]
+            self._colours[illuminated] = table if self._zeroth_order else table.without_zeroth_order()
+        table = self._colours[illuminated]
         spreads = self._no_footprints if footprints is None else footprints
         batch = colour_lookup.BATCH if self.device.is_cpu else 1
-        inputs = [table, scattering_vectors, to_lights, gains, spreads, self._taps, batch]
-        return KernelCall(kernel, inputs, [unserved_gain, xyz], block=batch)
+        inputs = [table.struct, *directions, spreads, self._taps, batch]
+        return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
-    def _sample(
-        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array,
-    ) -> KernelCall:  # fmt: skip
+    def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Add the sums over wavelengths."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
         # Others may have taken its place among those that are kept.
@@ -144,5 +140,5 @@ class ColourLookup:
             self._quadratures[illuminated] = coefficient_table.quadrature_for(
                 heightfield, plan, illuminated, device=device
             )
-        inputs = [self._table.arguments, scattering_vectors, to_lights, gains, self._quadratures[illuminated]]
+        inputs = [self._table.arguments, *directions, self._quadratures[illuminated]]
         return KernelCall(self._table.integrate, inputs, [xyz])

@@ -14,6 +14,7 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
+from warpdiff.baked.interpolation import ring_of_largest
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance, zeroth_order_power
 from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
@@ -231,7 +232,8 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     arrays.add("zeroth", "float32", zeroth.astype(np.float32).tobytes())
     return {
         "lobes": {
-            "rings": lobes.grid.rings, "rays": list(lobes.grid.azimuths), "ring_of_largest": lobes.grid.ring_of_largest,
+            "rings": lobes.grid.rings, "rays": list(lobes.grid.azimuths),
+            "ring_of_largest": ring_of_largest(lobes.grid.rings, lobes.grid.azimuths),
             "functions": count, "scale": lobes.scale, "size": _SIZE,
         },
         "variances": [lobes.lobe_variance(1.0 / tau) for tau in wavenumbers.tolist()],
