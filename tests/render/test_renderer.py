@@ -146,7 +146,7 @@ def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers
 def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
     drawn = wd.Renderer(painted, fingers, DISC, view(), plan=plans["footprints"], threads=1)
     for angle in (0.0, 0.3):
-        light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=2.0 + angle)
+        light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=9.0 + angle)
         drawn.draw(light, view(angle))
         expected = wd.shade(painted, fingers, light, view(angle), plan=plans["footprints"])
         found = drawn.image()

@@ -220,7 +220,8 @@ class BakedLobes(table_files.SavedTable):
 
     def lobe_variance(self, wavelength_um: float) -> float:
         """Variance of a lobe in (u, v) along each axis, at a wavelength [µm], above 0 and at most 10."""
-        return self._zeroth.lobe_variance(validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM))
+        wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
+        return self._zeroth.lobe_variance(wavelength_um)
 
     def _arrays(self) -> dict[str, Any]:
         coherence = self.coherence
