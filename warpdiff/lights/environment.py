@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from annotated_types import Interval, Unit
 
-from warpdiff.core import forks, memory, openimageio, validation
+from warpdiff.core import files, forks, memory, openimageio, validation
 from warpdiff.core.caching import LruCache
-from warpdiff.core.files import check_file
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
@@ -108,7 +107,7 @@ class Environment(Checked, Light):
             ValueError: The file is not such an image.
         """
         file = validation.path(path, "path")
-        check_file(file)
+        files.check_file(file)
         with openimageio.in_use() as oiio:
             image = oiio.ImageInput.open(str(file))
             if image is None:
@@ -132,12 +131,8 @@ class Environment(Checked, Light):
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; export the image again")
             finally:
                 image.close()
-        try:
+        with files.holding("radiance_rgb", file):
             return cls(np.asarray(samples), rotation_deg=rotation_deg, scale=scale, directions=directions)
-        except ArgumentValueError as error:
-            raise ArgumentValueError(
-                error.marked.replace(ref("radiance_rgb"), f"{ref('path')}: {str(file)!r}", 1)
-            ) from None
 
     def background(self, view: View) -> NDArray[np.float32]:
         """The environment as a camera sees it, for ``background=`` of pictures.

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core import files, validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
@@ -281,8 +281,8 @@ class Plan:
             )
         if self.energy_spread:
             rows["energy"] = (
-                "normalised over all wavelengths together; the reflected power of single wavelengths deviates by "
-                f"{self.energy_spread:.2g}"
+                "Energy is normalised over all wavelengths together; the reflected power of single wavelengths "
+                f"deviates by {self.energy_spread:.2g}"
             )
         rows["aliasing"] = (
             f"{self.aliasing:.1e} of the power of the steepest directions lies beyond the pitch's Nyquist limit"
@@ -368,7 +368,7 @@ class Plan:
         """
         file = validation.path(path, "path")
         text = files.read_text(file, _MOST_BYTES)
-        with renaming({"text": f"path: {str(file)!r}"}):
+        with files.holding("text", file):
             return cls.from_json(text)
 
 
