@@ -21,7 +21,8 @@ from warpdiff.image.report import report_of
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
-from warpdiff.planner.strategy import plan_for, warn_outside
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import plan_for
 from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import BrdfSettings, EvaluationSettings, SpectralSettings

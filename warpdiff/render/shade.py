@@ -16,7 +16,8 @@ from warpdiff.kernels import refinement_levels
 from warpdiff.lights.base import Light
 from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.layers import layers_of
 from warpdiff.render.picture import Picture, load_kernels
 from warpdiff.request.evaluation import Evaluation
