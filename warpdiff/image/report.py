@@ -1,4 +1,4 @@
-"""Reports: what a rendering found out about the errors of its picture."""
+"""Reports: the errors and the refinement of a picture, as its rendering estimates them."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ class Report:
         """Whether the picture can be trusted, in a sentence."""
         if not self.is_refined:
             return (
-                f"Pixels were not refined, so that their tolerance of {self.tolerance:g} is not guaranteed: 99 % are "
-                f"estimated to err by at most {self.errors[1]:.2g}."
+                f"Pixels were not refined: 99 % of the illuminated pixels have an estimated error of at most "
+                f"{self.errors[1]:.2g}, for a tolerance of {self.tolerance:g}."
             )
         if self.is_converged:
             return (
-                f"The picture meets its tolerance of {self.tolerance:g}: 99 % of the illuminated pixels are estimated "
-                f"to err by at most {self.errors[1]:.2g}."
+                f"The picture meets its tolerance of {self.tolerance:g}: 99 % of the illuminated pixels have an "
+                f"estimated error of at most {self.errors[1]:.2g}."
             )
         return (
             f"The picture does not meet its tolerance of {self.tolerance:g} everywhere: see the unconverged pixels "

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
 from warpdiff.kernels import refinement_levels, tile_lists
-from warpdiff.render.refinement import SLICE
+from warpdiff.render.refinement import SLICE, TileGroup
 from warpdiff.render.tile_buffers import TileBuffers
 
 if TYPE_CHECKING:
@@ -19,17 +18,6 @@ if TYPE_CHECKING:
 
 # Number of rays at a time (limit: a GPU has much memory, and many threads).
 _MOST_RAYS = 1 << 20
-
-
-@dataclass(frozen=True)
-class DeviceTileGroup:
-    """All pixels of a picture: see :class:`warpdiff.render.refinement.TileGroup`."""
-
-    pixels: wp.array
-    tiles: wp.array
-    sums: Any
-    chosen: wp.array
-    share: tuple[float, float]
 
 
 class DeviceTiles:
@@ -55,7 +43,7 @@ class DeviceTiles:
         self._options: dict[str, Any] = {**rays.options, "slice_size": SLICE}
         self._histogram, self.floor = empty(tile_lists.GROUPS * (1 + tile_lists.BINS)), empty(1, wp.float32)
         self.marks, chosen, everywhere = empty(rays.size, wp.uint8), empty(rays.size, wp.uint8), empty(0)
-        self._group = DeviceTileGroup(everywhere, everywhere, light.empty_tile_sums(rays.size), chosen, (0.0, 1.0))
+        self._group = TileGroup(everywhere, everywhere, light.empty_tile_sums(rays.size), chosen, (0.0, 1.0))
         self._tiles, self._tile_count = empty(rays.size), empty(1)
         self._marked_count, self._largest_count = empty(1), wp.zeros(1, dtype=wp.int32, device=device)
         self._offset, self._remaining = empty(1), empty(1)
@@ -91,19 +79,19 @@ class DeviceTiles:
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
-    def groups(self, light: LightRefinement) -> Iterator[DeviceTileGroup]:  # noqa: ARG002 (of the host)
+    def groups(self, light: LightRefinement) -> Iterator[TileGroup]:  # noqa: ARG002 (of the host)
         """Yield the whole picture, with the marked pixels and those around as tiles."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape], [self._group.chosen])
         self._launch(tile_lists.mark_interior, [self._group.chosen, *self._shape], [self.marks])
         yield self._group
 
-    def has_chosen(self, group: DeviceTileGroup) -> bool:  # noqa: ARG002 (of the host)
+    def has_chosen(self, group: TileGroup) -> bool:  # noqa: ARG002 (of the host)
         """Return True, as the host does not know."""
         return True
 
     def shade(
-        self, level: int, group: DeviceTileGroup, light: LightRefinement,
+        self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
         """Shade the cells of as many chosen tiles as there is room for until none is left; −1 is no tile."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.base import LightPart
-    from warpdiff.lights.light_pass import LightPass, SurfaceOptics
+    from warpdiff.lights.light_pass import LightPass, RayBatch, SurfaceOptics
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
@@ -201,7 +201,7 @@ class Picture:
                 of_light.errors.zero_()
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
-            self._add_own_rays(light, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
+            self._add_own_rays(light, batch, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
             refinement = LightRefinement(light_pass, lookup, batch, of_light, policy, is_first=light == 0)
             if self._loop is None:
                 rays = self.rays
@@ -217,10 +217,9 @@ class Picture:
                 sums = [self._sums.xyz, self._sums.errors, self._sums.illuminated]
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
-    def _add_own_rays(self, light: int, lookup: ColourLookup, progress: Progress) -> None:
+    def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
         """Add what the pixels' own rays see under the lobes of a light."""
         light_pass, sums = self._passes[light], self._light_sums
-        batch = self.sampler.batch(sums, self._unserved_gain, deviation=pixel_filter.deviation_at(0, means=True))
         count = light_pass.lobe_count
         for lobe in range(count):
             self.sampler.scatter(0, LobeIndex(light, lobe), sums)

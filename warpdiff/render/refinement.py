@@ -163,7 +163,8 @@ class LightRefinement:
         return result
 
 
-class TileGroup(Protocol):
+@dataclass
+class TileGroup:
     """Pixels that are subdivided together.
 
     Attributes:
@@ -204,7 +205,7 @@ class TileExecutor(Protocol):
     def begin(self, light: LightRefinement) -> None:
         """Begin a light at a tolerance: find the floor."""
 
-    def groups(self, light: LightRefinement) -> Iterator[Any]:
+    def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
         """Yield the groups of the marked pixels, whose tiles are those pixels and the ones around."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:

@@ -12,7 +12,7 @@ from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall, Pipeline, launch_pipeline
 from warpdiff.kernels import subdivision
 from warpdiff.render import pixel_filter
-from warpdiff.render.refinement import SLICE
+from warpdiff.render.refinement import SLICE, TileGroup
 from warpdiff.render.tile_buffers import SharedTileBuffers
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ _MOST_PIXELS = 1 << 17
 
 
 @dataclass
-class HostTileGroup:
-    """Pixels that are subdivided together: see :class:`warpdiff.render.refinement.TileGroup`.
+class HostTileGroup(TileGroup):
+    """Pixels that are subdivided together, with what the host looks at.
 
     Attributes:
         tile_indices: The tiles of the last level.
@@ -38,11 +38,6 @@ class HostTileGroup:
         is_chosen: The array behind ``chosen``.
     """
 
-    pixels: wp.array
-    tiles: wp.array
-    sums: Any
-    chosen: wp.array
-    share: tuple[float, float]
     tile_indices: NDArray[np.int32]
     ranks: NDArray[np.int32]
     is_chosen: NDArray[np.uint8]
