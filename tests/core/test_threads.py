@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import warpdiff as wd
 from warpdiff.core.threads import _pool, cores, parallel_for, single_threaded_blas
-from warpdiff.planner import strategy
+from warpdiff.planner import bounds
 from warpdiff.scene.mesh_import import prepare_surface
 
 THREADS = (1, 2, 5)
@@ -174,8 +174,8 @@ def test_calls_from_two_threads_leave_it_as_it_was():
 @pytest.mark.usefixtures("two_threads")
 def test_plans_are_made_on_one_thread(monkeypatch):
     counts = []
-    make = strategy._upper_bound_plan
-    monkeypatch.setattr(strategy, "_upper_bound_plan", lambda *a, **k: counts.append(blas_threads()) or make(*a, **k))
+    make = bounds.upper_bound_plan
+    monkeypatch.setattr(bounds, "upper_bound_plan", lambda *a, **k: counts.append(blas_threads()) or make(*a, **k))
     wd.plan(wd.gratings.fingers(size_um=6.4, seed=1), coherence=wd.Coherence(sigma_um=3.25), tolerance=3e-2)
     assert counts
     assert {1} == set(counts[0])

@@ -1,4 +1,4 @@
-"""Light samples: what is interpolated by angle, and footprints under a light with an extent."""
+"""Light samples: factors interpolated by angle, and footprints under lights with an extent or nearby."""
 
 import numpy as np
 import pytest
@@ -31,8 +31,8 @@ def test_factors_are_linear_between_angles(rng):
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(2, 6, 3))
     reflection = light_samples.Reflection()
     reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
-    found, through = wp.zeros(COUNT, dtype=wp.float32, device="cpu"), wp.zeros(COUNT, dtype=wp.vec3f, device="cpu")
-    wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [found, through], device="cpu")
+    energy_factors, through = wp.zeros(COUNT, dtype=wp.float32, device="cpu"), wp.zeros(COUNT, dtype=wp.vec3f, device="cpu")
+    wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [energy_factors, through], device="cpu")
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
     share = y / (np.abs(x) + np.abs(y))
@@ -41,7 +41,7 @@ def test_factors_are_linear_between_angles(rng):
     around = np.column_stack([energy, energy[:, 0]])
     by_column = np.array([[np.interp(c, np.arange(9), row) for row in around] for c in columns])
     expected = [np.interp(r, np.arange(5), values) for r, values in zip(rows, by_column, strict=True)]
-    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-4)
+    np.testing.assert_allclose(energy_factors.numpy(), expected, rtol=1e-4)
     for channel in range(3):
         linear = np.interp(5.0 * z, np.arange(6), transmittances[1, :, channel])
         np.testing.assert_allclose(through.numpy()[:, channel], linear, rtol=1e-4)
@@ -55,8 +55,8 @@ def test_a_lights_extent_adds_its_covariance(rng):
     deviations = rng.normal(size=(2, 2, 3))
     lights.deviations = array(deviations, wp.vec3f)
     footprints = rng.normal(size=(COUNT, 4))
-    found = array(footprints, Footprint)
-    wp.launch(light_samples.add_light_extent, (1, 1), [lights, 1, pixels, 0, COUNT], [found], device="cpu")
+    result = array(footprints, Footprint)
+    wp.launch(light_samples.add_light_extent, (1, 1), [lights, 1, pixels, 0, COUNT], [result], device="cpu")
 
     def covariances(values):
         changes = values.reshape(-1, 2, 2)
@@ -65,7 +65,7 @@ def test_a_lights_extent_adds_its_covariance(rng):
     axes = np.stack([tangents, bitangents], axis=1)
     added = axes @ deviations[1].T
     expected = covariances(footprints) + added @ np.swapaxes(added, 1, 2)
-    np.testing.assert_allclose(covariances(found.numpy().astype(float)), expected, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(covariances(result.numpy().astype(float)), expected, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
@@ -80,7 +80,7 @@ def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng
     half, width, height, deviation = np.array([0.2, 0.15]), 16, 12, 0.5
 
     def met(x, y):
-        """Where the ray at a place of the picture meets the plane, and the direction back along it."""
+        """Return where the ray at a place of the picture meets the plane, and the direction back along the ray."""
         across = x * right + y * up
         origin, along = (eye + across, -back) if orthographic else (eye, across - back)
         return origin + along * (plane @ (corners[0] - origin)) / (plane @ along), -along / np.linalg.norm(along)
@@ -99,11 +99,11 @@ def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng
     pixels.hit, pixels.face = array(np.ones(COUNT), wp.int32), array(np.zeros(COUNT), wp.int32)
     pixels.to_view, pixels.shadow_origin = array([v for _, v in hits], wp.vec3f), array([p for p, _ in hits], wp.vec3f)
     pixels.tangent, pixels.bitangent = array(tangents, wp.vec3f), array(bitangents, wp.vec3f)
-    found = array(np.ones((COUNT, 4)), Footprint)
+    result = array(np.ones((COUNT, 4)), Footprint)
     inputs = [camera, surface, pixels, lights, 1, deviation, 0, COUNT]
-    wp.launch(light_samples.add_light_rotation, (1, 1), inputs, [found], device="cpu")
+    wp.launch(light_samples.add_light_rotation, (1, 1), inputs, [result], device="cpu")
     steps = np.diag([2.0, -2.0]) * deviation * half / (width, height) * 1e-3
     for i in range(COUNT):
         turns = [1e3 * (towards(hits[i][0]) - towards(met(x[i] + dx, y[i] + dy)[0])) for dx, dy in steps]
         expected = 1.0 + np.array([turn @ axis for turn in turns for axis in (tangents[i], bitangents[i])])
-        np.testing.assert_allclose(found.numpy()[i], expected, atol=1e-4)
+        np.testing.assert_allclose(result.numpy()[i], expected, atol=1e-4)

@@ -89,12 +89,12 @@ def test_pigment_is_that_of_a_light_in_the_direction_of_each_pixel(fingers):
         pictures = [wd.shade(coloured, fingers, light, view, **(options | {"pigment": n})).xyz for n in (0.0, 100.0)]
         return pictures[1] - pictures[0]
 
-    found = pigment(wd.PointLight(tuple(place)))
+    result = pigment(wd.PointLight(tuple(place)))
     for row in range(3):
         for column in range(3):
             away = place - [0.4 * (column - 1), 0.4 * (1 - row), 0.0]
             light = wd.DirectionalLight(tuple(away), power=1.0 / float(away @ away))
-            np.testing.assert_allclose(found[row, column], pigment(light)[row, column], rtol=2e-3)
+            np.testing.assert_allclose(result[row, column], pigment(light)[row, column], rtol=2e-3)
 
 
 def test_too_much_light_is_refused(fingers):

@@ -1,4 +1,4 @@
-"""Cost model: what its numbers are proportional to."""
+"""Cost model: proportions of its numbers."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ def sampling(heightfield, plan, **changes):
     return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
 
 
-def test_samples_of_the_copies_factor_cost_in_proportion_to_their_number():
+def test_subdivisions_under_replicated_periods_cost_in_proportion_to_their_number():
     heightfield = noise((6, 16))
     plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8], coherence=wd.Coherence("replicas", periods=(2, 3)))
     costs = [sampling(heightfield, plan, subdivisions=n) for n in (1, 2, 4)]

@@ -1,10 +1,10 @@
-"""Strategy: the directions that a plan is made for, and what it keeps of an explicit choice."""
+"""Strategy: directions of a plan, and explicit tables."""
 
 import math
 
 import numpy as np
 import pytest
-from conftest import at_angle, hemisphere
+from conftest import at_angle, hemisphere, noise
 
 import warpdiff as wd
 from warpdiff.planner import strategy
@@ -30,7 +30,7 @@ def test_a_sample_has_the_directions_of_the_call(request_of_fingers, rng):
 
 
 @pytest.mark.parametrize(("side", "light", "view"), [("light", at_angle(30.0), None), ("view", None, at_angle(30.0))])
-def test_what_is_not_given_is_the_whole_hemisphere(side, light, view, request_of_fingers):
+def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, request_of_fingers):
     """From one direction at an angle θ, |(u, v)| reaches 1 + sin θ, and |w| lies between cos θ and 1 + cos θ."""
     direction_range, sample, count = strategy.directions_of(request_of_fingers, light, view)
     assert math.isinf(count)
@@ -38,15 +38,15 @@ def test_what_is_not_given_is_the_whole_hemisphere(side, light, view, request_of
     assert direction_range.min_w == pytest.approx(math.cos(math.pi / 6.0))
     assert direction_range.max_w == pytest.approx(1.0 + math.cos(math.pi / 6.0))
     views = -sample.scattering_vectors - sample.to_lights
-    given, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
-    np.testing.assert_allclose(given, np.broadcast_to(at_angle(30.0), given.shape), atol=1e-12)
+    fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
+    np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
     # Uniform in z.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
-def test_an_explicit_table_is_kept_though_it_does_not_meet_the_tolerance(fingers):
-    settings = {"method": "low-rank", "integration": "table", "tolerance": 1e-4, "strict": False}
+def test_an_explicit_table_remains_where_it_does_not_meet_the_tolerance():
+    options = {"method": "low-rank", "integration": "table", "tolerance": 1e-4, "coherence": wd.Coherence(sigma_um=2.0)}
     with pytest.warns(wd.WarpdiffWarning, match="rings per octave"):
-        plan = wd.plan(fingers, **settings)
+        plan = wd.plan(noise((6, 16)), strict=False, **options)
     assert plan.error > plan.tolerance
     assert plan.rings_per_octave > 0

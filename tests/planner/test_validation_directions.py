@@ -1,4 +1,4 @@
-"""Training and validation sets: disjoint, and either stands for the whole call."""
+"""Training and validation sets: they are disjoint, and either represents the whole call."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from warpdiff.planner import validation_directions
 from warpdiff.request.directions import DirectionSample
 
 
-def test_either_set_stands_for_all_candidates(rng):
+def test_either_set_represents_all_candidates(rng):
     lights, views = hemisphere(rng, 1000), hemisphere(rng, 1000)
     candidates = DirectionSample(-lights - views, lights, rng.uniform(0.1, 1.0, 1000), np.full(1000, 7.0))
     luminance = rng.lognormal(0.0, 2.0, 1000)

@@ -13,7 +13,7 @@ import numpy as np
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.kernels import coefficient_sum
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.tables import coefficient_table, polar_grid
+from warpdiff.tables import coefficient_table, mip_layout, polar_grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +81,7 @@ def look_up_multiply_adds(plan: Plan) -> float:
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     """The cost of making a table, in the multiply-adds of ``Plan``."""
-    layout = polar_grid.layout_of(plan)
+    layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
     if plan.coherence.kind == "source":
@@ -99,5 +99,5 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
         )
     # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
     powers = parts * plan.terms
-    projection = layout.level0_rows * polar_grid.ring_count(plan.rings_per_octave) * powers * (powers + 3.0)
+    projection = layout.levels[0].nodes * polar_grid.ring_count(plan.rings_per_octave) * powers * (powers + 3.0)
     return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_NUMBER * layout.rows * 3.0 * powers

@@ -17,7 +17,7 @@ import numpy as np
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.planner import cost_model
 from warpdiff.request.plan import W_BASIS_STEP
-from warpdiff.tables import coefficient_table, polar_grid
+from warpdiff.tables import coefficient_table, mip_layout, polar_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -148,7 +148,7 @@ def search_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, aff
         )
         candidate = trial.with_w_basis(candidate)
         table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
-        if polar_grid.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
+        if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             break
         if best is None:
             trial.update_floors(candidate)
@@ -194,7 +194,7 @@ def _largest_sizes(table_sizes: list[tuple[int, float]], plan: Plan) -> list[tup
         (table_size, dataclasses.replace(plan, rings_per_octave=table_size[0], azimuths_per_width=table_size[1]))
         for table_size in table_sizes
     ]
-    return [table_size for table_size, sized in sizes if polar_grid.megabytes(sized) <= polar_grid.MOST_MEGABYTES][-1:]
+    return [table_size for table_size, sized in sizes if mip_layout.megabytes(sized) <= polar_grid.MOST_MEGABYTES][-1:]
 
 
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:

@@ -1,0 +1,182 @@
+"""Refusals and warnings of the planner: what it cannot plan, what may be wrong, and the remedy."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
+from warpdiff.heightfield import diagnostics
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
+from warpdiff.planner.plan_search import SEARCH_SAFETY
+from warpdiff.request.plan import LABELS
+from warpdiff.tables import coefficient_table, polar_grid
+
+if TYPE_CHECKING:
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.request.directions import DirectionRange
+    from warpdiff.request.evaluation import Evaluation
+    from warpdiff.request.plan import Plan
+
+# Largest number of coefficients that a direction adds up. Limit: a wider neighbourhood is a mistake in the units, or a
+# patch much larger than its window.
+_MOST_NEIGHBOURS = 40_000
+# Side of the patch that a refusal recommends, in σ of its window. Derived: the averaged window's weight of products
+# exp(−r²/4σ²) is 1e-11 at half of it.
+_PATCH_IN_SIGMAS = 20.0
+# Largest numbers of wavelengths of a colour, and of these times the subdivisions for replicas. Limits: seconds per
+# direction, and the memory of a quadrature.
+_MOST_WAVELENGTHS, _MOST_SAMPLES = 65_536, 2_000_000
+# Excess of a call's range over its plan's, relative, that is no reason to warn. Limit: ranges of coefficients are
+# rounded up by more.
+_RANGE_MARGIN = 0.03
+_LESS_COHERENT = {
+    "averaged": f"a smaller {ref('sigma_um')}",
+    "centred": f"a smaller {ref('sigma_um')}",
+    "source": f"a larger {ref('angular_diameter_deg')}",
+    "replicas": f"fewer {ref('periods')}",
+}
+
+
+def check_integration(request: Evaluation) -> None:
+    """Refuse a table for a spectrum."""
+    if not request.integrates and request.integration == "table":
+        raise ArgumentValueError(
+            f"{ref('integration')} must not be 'table' for a spectrum, which is not integrated over λ"
+        )
+
+
+def check_size(heightfield: HeightField, plan: Plan) -> None:
+    """Refuse a plan from bounds with more neighbours or wavelengths than are supported."""
+    if plan.method != "direct" and plan.coherence.kind != "replicas":
+        _check_neighbours(heightfield, plan)
+    if plan.wavelengths > _MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
+        coherence = plan.coherence
+        what = {
+            "source": ref("angular_diameter_deg", coherence.angular_diameter_deg),
+            "replicas": f"{ref('periods', coherence.periods)} of {heightfield.size_um[0]:g} × "
+            f"{heightfield.size_um[1]:g} µm",
+        }.get(coherence.kind, ref("sigma_um", coherence.sigma_um))
+        raise ToleranceError(
+            f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
+            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, "
+            f"{_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger {ref('tolerance')}, or "
+            "warpdiff.spectral_reflectance"
+        )
+
+
+def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
+    """Refuse a neighbourhood that no one means."""
+    rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
+    if rows * columns <= _MOST_NEIGHBOURS:
+        return
+    coherence = plan.coherence
+    if coherence.sigma_um is None:
+        what = f"{ref('angular_diameter_deg', coherence.angular_diameter_deg)} is too wide"
+    else:
+        what = f"{ref('sigma_um', coherence.sigma_um)} is too short"
+    raise ArgumentValueError(
+        f"{what} for a patch of {heightfield.size_um[0]:g} × {heightfield.size_um[1]:g} µm, as it covers {rows} × "
+        f"{columns} coefficients: crop the height field to about {_PATCH_IN_SIGMAS * _longest_sigma_um(coherence):.3g} "
+        "µm, which looks the same under this coherence"
+    )
+
+
+def _longest_sigma_um(coherence: Coherence) -> float:
+    """σ of a window [µm], of a source's at the longest wavelength."""
+    if coherence.sigma_um is not None:
+        return coherence.sigma_um
+    return LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
+
+
+def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
+    """Refuse, or warn of, a plan that cannot meet its tolerance."""
+    # The safety factor in measured errors is no reason to refuse.
+    if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
+        return
+    fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
+    lower = f"{fewer}, or use {ref('method', 'auto')} or {ref('method', 'direct')}"
+    height_range = f"for a height range of {heightfield.height_range_um:.3g} µm"
+    rings = plan.rings_per_octave
+    samples = f"{rings} rings per octave" if rings else f"{plan.wavelengths} wavelengths"
+    directional = f"use {ref('method', 'auto')}, in pictures with lights of {ref('angular_diameter_deg', 0)}"
+    sources = {
+        "rounding": (f"float32 rounds terms that grow and cancel {height_range}", lower),
+        "truncation": (f"{plan.terms} terms are too few {height_range}", lower),
+        "neighbourhood": (
+            f"neighbours of a weight below {plan.least_weight:.1e} are excluded", f"use {ref('method', 'direct')}"
+        ),
+        "quadrature": (
+            f"{samples} are too few", directional if rings else f"use {_LESS_COHERENT[plan.coherence.kind]}"
+        ),
+    }  # fmt: skip
+    largest = max(sources, key=plan.predicted_errors.__getitem__)
+    (why, remedy), error = sources[largest], plan.predicted_errors[largest]
+    risk = ", so the result may be meaningless" if error >= 1.0 else ""
+    how = f"measured on {plan.validation_size} directions" if plan.is_measured else "by its bound"
+    message = (
+        f"the {LABELS[plan.method]} cannot meet {ref('tolerance', plan.tolerance)}: {why}, an error of {error:.1e} "
+        f"{how}{risk}; {remedy}, or a larger {ref('tolerance')}"
+    )
+    if strict:
+        raise ToleranceError(f"{message}; {ref('strict', False)} computes it anyway")
+    warn(message)
+
+
+def table_too_large(tolerance: float) -> ToleranceError:
+    """The refusal of an explicit table that exceeds the largest size."""
+    return ToleranceError(
+        f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
+        f"{ref('tolerance', tolerance)}: use {ref('method', 'auto')}, or a larger {ref('tolerance')}"
+    )
+
+
+def warn_of_scalar_error(heightfield: HeightField, plan: Plan) -> None:
+    """Warn of a surface that scalar diffraction does not serve."""
+    if plan.scalar_error >= diagnostics.SCALAR_INVALID:
+        warn(
+            f"scalar diffraction is {diagnostics.scalar_error_text(plan.scalar_error)}; {ref('heightfield')} has "
+            f"a standard deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: "
+            "use a rigorous solver, or interpret the colours only qualitatively"
+        )
+
+
+def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
+    """Warn where the directions require frequencies beyond the Nyquist limit of the pitch.
+
+    Neighbours beyond the limit repeat those within it, but for the phase of a window that lies between samples: such a
+    window's radius of neighbours must be within the limit as well.
+    """
+    pitch_um = diagnostics.coarsest_pitch_um(heightfield)
+    if pitch_um == 0.0:
+        return
+    is_between = plan.coherence.centre_um is not None and plan.method != "direct"
+    radius = coefficient_table.radius(plan) if is_between else 0.0
+    supported = max(0.0, direction_range.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
+    if direction_range.max_uv > supported * (1.0 + 1e-9):
+        warn(
+            f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at "
+            f"{direction_range.lambda_min_nm:g} nm, but directions reach {direction_range.max_uv:.3g}: higher orders "
+            "alias onto lower ones; scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
+        )
+
+
+def warn_outside(plan: Plan, heightfield: HeightField, direction_range: DirectionRange) -> None:
+    """Warn where a call with an explicit plan goes beyond the range that the plan is valid for."""
+    beyond = [
+        f"{name} {value:.3g}, planned {planned:.3g}"
+        for name, value, planned in (
+            ("|(u, v)| up to", direction_range.max_uv, plan.max_uv),
+            ("|w| up to", direction_range.max_w, plan.max_w),
+            ("1/λ [1/µm] up to", 1e3 / direction_range.lambda_min_nm, 1e3 / plan.lambda_min_nm),
+            ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um),
+        )
+        if value > planned * (1.0 + _RANGE_MARGIN) + 1e-9
+    ]
+    if beyond and plan.method != "direct":
+        warn(
+            f"{ref('plan')} is used beyond its valid range: {'; '.join(beyond)}; results may be wrong: make a plan for "
+            "these directions and this height field with warpdiff.plan()"
+        )
