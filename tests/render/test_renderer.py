@@ -142,6 +142,23 @@ def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers
     same(drawn.image(), found)
     np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
+    np.testing.assert_array_equal(found.mask, other.mask)
+    # The finest cells count; of equal levels those of the last light do, with other cells around.
+    np.testing.assert_allclose(found.coverage, other.coverage, atol=0.01)
+
+
+def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
+    lights = [wd.PointLight((0.1, 0.9, 4.0)), LIGHTS[1]]
+    drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"])
+    before = drawn.image()
+    for refused in ([wd.PointLight((0.1, 0.9, 1.2), power=1e12), LIGHTS[1]],
+                    [wd.Environment(np.ones((2, 4, 3))), wd.PointLight((0.1, 0.9, 1.2), power=1e12)]):  # fmt: skip
+        with pytest.raises(ValueError, match="a PointLight has a power"):
+            drawn.draw(refused, view(0.4))
+        same(drawn.image(), before)
+    drawn.draw(lights[::-1])
+    drawn.draw(lights)
+    same(drawn.image(), before)
 
 
 def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
