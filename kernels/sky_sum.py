@@ -45,7 +45,7 @@ NEAR_HORIZON = wp.constant(8.0)
 PLACES = wp.constant(5)
 WIDTHS = wp.constant(wp.vec3f(1.03, 1.01, 0.83))
 # By how much phases change, of an entry of w over half the range of w: half of the root of what the table allows
-# (``sky_table._MOST_PHASE2``).
+# (``sky_cells._MOST_PHASE2``).
 PHASE_AN_ENTRY = 0.08
 # What errors count that all nodes have alike, of those that are as if by chance.
 ALIKE = wp.constant(5.0)

@@ -45,7 +45,10 @@ class Report:
 
     @property
     def is_converged(self) -> bool:
-        """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges."""
+        """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges.
+
+        Without refinement no pixel is, as nothing is guaranteed then: see ``is_refined``.
+        """
         return self.unconverged_share <= MOST_UNCONVERGED and self.unconverged_edge_share <= MOST_UNCONVERGED_EDGES
 
     @property
@@ -58,8 +61,9 @@ class Report:
             )
         if self.is_converged:
             return (
-                f"The picture meets its tolerance of {self.tolerance:g}: 99 % of the illuminated pixels have an "
-                f"estimated error of at most {self.errors[1]:.2g}."
+                f"The picture meets its tolerance of {self.tolerance:g}: {100.0 * self.unconverged_share:.2g} % of the "
+                f"interior pixels are expected to exceed it, and {100.0 * self.unconverged_edge_share:.2g} % of those "
+                f"at edges three times as much."
             )
         return (
             f"The picture does not meet its tolerance of {self.tolerance:g} everywhere: see the unconverged pixels "

@@ -42,23 +42,27 @@ RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
 RGB_TO_XYZ.setflags(write=False)
 
 
-def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
-    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
-    if isinstance(illuminant, Spectrum):
-        return illuminant
-    if not isinstance(illuminant, str):
+def check_illuminant_type(illuminant: object, name: str = "illuminant") -> Illuminant:
+    """Return a spectrum or a name, which may be of no illuminant, or raise ``TypeError``."""
+    if not isinstance(illuminant, (str, Spectrum)):
         raise ArgumentTypeError(
             f"{ref(name)} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
             f"{type(illuminant).__name__}"
         )
-    if illuminant in PRECOMPUTED:
-        return illuminant
-    range_nm = _tabulated_nm(illuminant)
+    return illuminant
+
+
+def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
+    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
+    checked = check_illuminant_type(illuminant, name)
+    if isinstance(checked, Spectrum) or checked in PRECOMPUTED:
+        return checked
+    range_nm = _tabulated_nm(checked)
     if range_nm is None:
         names = sorted(colour_science().SDS_ILLUMINANTS)
         raise ArgumentValueError(
             f"{ref(name)} must be one of {', '.join(names[:12])}, … ({len(names)} illuminants and the light sources of "
-            f"colour-science), or a spectrum, got {illuminant!r}{did_you_mean(illuminant, names)}"
+            f"colour-science), or a spectrum, got {illuminant!r}{did_you_mean(checked, names)}"
         )
     start, end = range_nm
     if start > LAMBDA_MIN_NM or end < LAMBDA_MAX_NM:
@@ -66,7 +70,7 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
             f"{ref(name)} must cover {LAMBDA_MIN_NM} to {LAMBDA_MAX_NM} nm, "
             f"but {illuminant!r} is tabulated from {start:g} to {end:g} nm"
         )
-    return illuminant
+    return checked
 
 
 def _distribution(illuminant: str) -> Any:

@@ -31,7 +31,7 @@ from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, spelled
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.image.display_transform import MEAN_SHOWN
-from warpdiff.lights.environment import rotated
+from warpdiff.lights.environment import with_settings
 from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
@@ -392,7 +392,7 @@ class Studio:
             loaded = self._caches.environments.get_or_make(path, lambda: wd.Environment.load(path))
             options = {option.name: option.default for option in describe(wd.Environment.load).values()}
             del options["path"]
-            return rotated(loaded, **options | dict(sky.options))
+            return with_settings(loaded, **options | dict(sky.options))
 
         return [*lights, self._caches.skies.get_or_make(str(sky), make)]
 
