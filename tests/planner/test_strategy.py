@@ -1,12 +1,11 @@
-"""Strategy: directions of a plan, and explicit tables."""
+"""Strategy: directions of a plan."""
 
 import math
 
 import numpy as np
 import pytest
-from conftest import at_angle, hemisphere, noise
+from conftest import at_angle, hemisphere
 
-import warpdiff as wd
 from warpdiff.planner import strategy
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
@@ -42,11 +41,3 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
     # Uniform in z.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
-
-
-def test_an_explicit_table_remains_where_it_does_not_meet_the_tolerance():
-    options = {"method": "low-rank", "integration": "table", "tolerance": 1e-4, "coherence": wd.Coherence(sigma_um=2.0)}
-    with pytest.warns(wd.WarpdiffWarning, match="rings per octave"):
-        plan = wd.plan(noise((6, 16)), strict=False, **options)
-    assert plan.error > plan.tolerance
-    assert plan.rings_per_octave > 0
