@@ -10,12 +10,12 @@ import re
 import tokenize
 from collections import Counter
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
 # Packages that are changed, and their folders below the root of a checkout.
 PACKAGES = {
@@ -35,8 +35,6 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
 }  # fmt: skip
 # Calls that are not changed: messages, names in messages, types, and options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
-# Calls whose first two arguments may change places.
-UNORDERED = {"min", "max", "minimum", "maximum", "hypot", "zip", "allclose", "isclose", "dot", "gcd", "lcm", "cw_mul"}
 
 # Faults of the headers: "header: text" by line. The text occurs once in the header, with «old|new» in place of old.
 FAULTS = Path(__file__).with_name("header_faults.txt")
@@ -130,36 +128,24 @@ def changed_number(value: complex) -> str:
     return repr(type(value)(f"{value * 1.1 if value else 1.0:.6g}"))
 
 
-def mutants_of(root: Path, package: str) -> list[Mutant]:
+def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
     """Return all changes of a package's Python files."""
-    result: list[Mutant] = []
     counts: Counter[str] = Counter()
     for path in sorted((root / PACKAGES[package]).glob("*.py")):
         source = path.read_bytes()
         tree, lines = ast.parse(source), source.decode().splitlines()
         starts = [0, *accumulate(len(line) for line in source.splitlines(keepends=True))]
-        changes, skipped = list(_token_changes(source.decode(), starts)), []
-        for node in ast.walk(tree):
-            skipped += [_span(part, starts) for part in _skipped(node) if part]
-            # The first two arguments of a call in the other order, if they are of one kind.
-            pair = node.args[:2] if isinstance(node, ast.Call) else []
-            is_kind = len(pair) == 2 and type(pair[0]) is type(pair[1])
-            if is_kind and not isinstance(pair[0], (ast.Starred, ast.Constant)):
-                places = [place for part in pair for place in _span(part, starts)]
-                a, between, b = (source[i:j].decode() for i, j in pairwise(places))
-                if a != b and ast.unparse(node.func).rpartition(".")[2] not in UNORDERED:
-                    changes.append((places[0], a + between + b, b + between + a))
+        skipped = [_span(part, starts) for node in ast.walk(tree) for part in _skipped(node) if part]
         names: dict[int, tuple[str, ...]] = {}
         for defined, part in definitions(tree):
             names |= dict.fromkeys(range(part.lineno, part.end_lineno + 1), defined)
-        for begin, old, new in changes:
+        for begin, old, new in _token_changes(source.decode(), starts):
             if not any(first <= begin < last for first, last in skipped):
                 line = source.count(b"\n", 0, begin) + 1
                 identity = "|".join((package, *names[line], lines[line - 1].strip(), old, new))
                 counts[identity] += 1
                 place = package, path.relative_to(root).as_posix(), begin
-                result.append(Mutant(*place, old, new, line, names[line], f"{identity}|{counts[identity]}"))
-    return result
+                yield Mutant(*place, old, new, line, names[line], f"{identity}|{counts[identity]}")
 
 
 def _span(node: ast.AST, starts: list[int]) -> tuple[int, int]:
@@ -180,15 +166,10 @@ def header_mutants(root: Path) -> Iterator[Mutant]:
         yield Mutant(*place, (header,), f"native|{fault}")
 
 
-def draw(root: Path, seed: str, count: int) -> list[Mutant]:
-    """Draw changes of all packages, with the headers' faults evenly among them, so that any first part is fair.
+def draw(root: Path, seed: str) -> list[Mutant]:
+    """Return the changes of all packages in random order, of which a first part is a draw.
 
     A hash of the seed and of a change's text orders the changes: draws by one seed on two commits are comparable.
     """
-
-    def ranked(mutants: Iterable[Mutant]) -> list[Mutant]:
-        return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())
-
-    parts = [ranked(m for package in PACKAGES for m in mutants_of(root, package))[:count], ranked(header_mutants(root))]
-    places = [(rank / len(part), mutant) for part in parts for rank, mutant in enumerate(part)]
-    return [mutant for _, mutant in sorted(places, key=lambda place: place[0])]
+    mutants = (mutant for package in PACKAGES for mutant in mutants_of(root, package))
+    return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

@@ -2,7 +2,7 @@
 
 ``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder and records once
 which functions and kernels each test executes. It then makes one change after the other and runs the tests that execute
-it, the most specific first. The seed draws the changes. Two hand-made faults of each C++ header are counted apart.
+it, the most specific first. The seed draws the changes; ``--headers`` makes two faults of each C++ header instead.
 Commits take turns, so that an interrupted run compares them, too; the same command continues it.
 """
 
@@ -13,7 +13,6 @@ import ast
 import importlib.util
 import inspect
 import json
-import math
 import multiprocessing
 import os
 import re
@@ -30,9 +29,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import warp as wp
+from scipy.stats import binomtest
 
 from bench.dev.baseline import export
-from bench.dev.mutant_sites import NATIVE, PACKAGES, Mutant, definitions, draw
+from bench.dev.mutant_sites import NATIVE, PACKAGES, Mutant, definitions, draw, header_mutants
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -52,13 +52,12 @@ PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scip
 
 
 class Recorder:
-    """Plugin of pytest that records time, functions and kernels of each test function that passes."""
+    """Plugin of pytest that records time, functions and kernels of each test function, and whether it fails."""
 
     def __init__(self, tree: Path, output: Path) -> None:
         self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
-        self._tests: dict[str, dict[str, Any]] = defaultdict(lambda: {"seconds": 0.0, "names": []})
+        self._tests: dict[str, dict[str, Any]] = defaultdict(lambda: {"seconds": 0.0, "names": [], "failed": False})
         self._names: set[str] = set()
-        self._failed: set[str] = set()
         threading.settrace(self._trace)
 
     def _trace(self, frame: FrameType, _event: str, _argument: object) -> None:
@@ -82,13 +81,12 @@ class Recorder:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Record a failure."""
-        self._failed |= {report.nodeid.partition("[")[0]} if report.failed else set()
+        self._tests[report.nodeid.partition("[")[0]]["failed"] |= report.failed
 
     def pytest_sessionfinish(self) -> None:
         """Write the record."""
         sys.settrace(None)
-        passed = {name: test for name, test in self._tests.items() if name not in self._failed}
-        self._output.write_text(json.dumps(passed), encoding="utf-8")
+        self._output.write_text(json.dumps(self._tests), encoding="utf-8")
 
 
 def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
@@ -105,12 +103,8 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "bench"]:
         del sys.modules[name]
     sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
-    if not str(importlib.util.find_spec("warpdiff").origin).startswith(str(tree)):
-        raise RuntimeError(f"Python finds another warpdiff than that of {tree}")
     options = ["-q", "--tb=no", "-p", "no:cacheprovider", f"--basetemp={tree}-tmp", *([] if record else ["-x"])]
-    code = pytest.main([*options, *tests], [Recorder(tree, record)] if record else None)
-    sys.stdout.flush()
-    os._exit(code)
+    sys.exit(pytest.main([*options, *tests], [Recorder(tree, record)] if record else None))
 
 
 def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path | None = None) -> str:
@@ -120,7 +114,6 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
     process.join(limit_s)
     if process.exitcode is None:
         os.killpg(process.pid, signal.SIGKILL)
-        process.join()
         return "timed out"
     log = Path(f"{tree}.log").read_text(encoding="utf-8", errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+?)(?:\[.*)?(?: - .*)?$", log, re.MULTILINE)
@@ -128,25 +121,24 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
 
 
 class Run:
-    """Changes of one commit, and their results."""
+    """Copy of one commit, its tests, and the results of changes."""
 
-    def __init__(self, commit: str, seed: str, count: int, most_s: float, output: Path) -> None:
+    def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
         self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
-        tests, self._log = output / f"{commit[:10]}_tests.json", output / f"{commit[:10]}_{seed[:10]}.jsonl"
+        tests, self._log = Path(f"{self.tree}_tests.json"), Path(f"{self.tree}_{seed[:10]}.jsonl")
         # An interrupted run may have left a change.
         export(commit, self.tree)
         if not (self.tree / "warpdiff" / "kernels").exists():
             (self.tree / "warpdiff" / "kernels").symlink_to("../kernels", target_is_directory=True)
         if not tests.exists():
             places = [f"tests/{name}" for name in TESTS if (self.tree / "tests" / name).exists()]
-            run_pytest(self.tree, places, None, tests.resolve())
-        self._tests = json.loads(tests.read_text(encoding="utf-8"))
+            run_pytest(self.tree, places, None, tests)
+        recorded = json.loads(tests.read_text(encoding="utf-8"))
+        self._tests = {name: test for name, test in recorded.items() if not test["failed"]}
         self._executed = {name for test in self._tests.values() for name in test["names"]}
         self._uses = dict(self._used_names())
-        lines = self._log.read_text(encoding="utf-8").splitlines() if self._log.exists() else []
-        self.records = [json.loads(line) for line in lines]
-        done = {record["identity"] for record in self.records}
-        self.left = [mutant for mutant in draw(self.tree, seed, count) if mutant.identity not in done]
+        self._log.touch()
+        self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
         """Return each definition with the names that it uses; statements that define none count for all of a module."""
@@ -205,14 +197,6 @@ def _names_in(node: ast.AST) -> set[str]:
     return names - {""} | {name for name in headers if name.endswith(".h")}
 
 
-def wilson(detected: int, count: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share by Wilson's formula."""
-    z2, share = 1.96**2, detected / count
-    middle = (share + z2 / (2 * count)) / (1.0 + z2 / count)
-    half = math.sqrt(share * (1.0 - share) * z2 / count + (z2 / (2 * count)) ** 2) / (1.0 + z2 / count)
-    return middle - half, middle + half
-
-
 def table(records: list[dict[str, Any]]) -> str:
     """Return scores of all drawn changes, by package, and of the headers' faults, and the survivors, as Markdown."""
     lines = ["| package | changes | detected | score | 95 % interval |", "| --- | --- | --- | --- | --- |"]
@@ -221,7 +205,7 @@ def table(records: list[dict[str, Any]]) -> str:
         survived = [r["result"] == "survived" for r in group]
         if survived:
             detected, count = survived.count(False), len(survived)
-            low, high = wilson(detected, count)
+            low, high = binomtest(detected, count).proportion_ci(method="wilson")
             lines.append(f"| {name} | {count} | {detected} | {detected / count:.1%} | {low:.1%} to {high:.1%} |")
     lines += ["", "| survivor | changed line |", "| --- | --- |"]
     survivors = [(r["place"], r["changed"].replace("|", "\\|")) for r in records if r["result"] == "survived"]
@@ -231,10 +215,11 @@ def table(records: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Run changes until all are done or the time is over, and print the scores."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("commits", nargs="*", default=["HEAD"], help="commits whose sources and tests run (HEAD)")
+    parser.add_argument("commits", nargs="+", help="commits whose sources and tests run")
     parser.add_argument("--seed", default="HEAD", help="commit whose hash draws the changes (HEAD)")
-    parser.add_argument("--count", type=int, default=400, help="number of drawn changes (400)")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no change after this time (no limit)")
+    parser.add_argument("--count", type=int, default=400, help="number of changes (400)")
+    parser.add_argument("--headers", action="store_true", help="make the faults of the headers instead")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no change after this time (no limit)")
     parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
     parser.add_argument("--output", type=Path, default=Path("bench_results/mutants"), help="(bench_results/mutants)")
     options = parser.parse_args()
@@ -242,10 +227,12 @@ def main() -> None:
     command = ["git", "-C", str(ROOT), "rev-parse", options.seed, *options.commits]
     seed, *commits = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     options.output.mkdir(parents=True, exist_ok=True)
-    runs = [Run(commit, seed, options.count, options.seconds, options.output) for commit in commits]
-    for mutants in zip_longest(*(run.left for run in runs)):
+    runs = [Run(commit, seed, options.seconds, options.output) for commit in commits]
+    draws = [header_mutants(run.tree) if options.headers else draw(run.tree, seed)[: options.count] for run in runs]
+    for mutants in zip_longest(*draws):
         for run, mutant in zip(runs, mutants, strict=True):
-            if mutant and time.monotonic() < end:
+            is_new = mutant and all(record["identity"] != mutant.identity for record in run.records)
+            if is_new and time.monotonic() < end:
                 run.test(mutant)
     for run in runs:
         print(f"\nCommit {run.commit}, seed {seed}\n\n{table(run.records)}")

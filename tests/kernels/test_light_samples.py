@@ -31,7 +31,7 @@ def test_factors_are_linear_between_angles(rng):
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(2, 6, 3))
     reflection = light_samples.Reflection()
     reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
-    energy_factors, through = wp.zeros(COUNT, dtype=wp.float32, device="cpu"), wp.zeros(COUNT, dtype=wp.vec3f, device="cpu")
+    energy_factors, through = array(np.zeros(COUNT), wp.float32), array(np.zeros((COUNT, 3)), wp.vec3f)
     wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [energy_factors, through], device="cpu")
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
