@@ -3,7 +3,6 @@
 import warp as wp
 
 from warpdiff.kernels import compile_options, refinement_levels
-from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
 from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
@@ -64,6 +63,17 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
 
 
 @wp.func
+def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
+    """``index`` modulo ``size``, for an index that is out by less than one period."""
+    result = index
+    if result < 0:
+        result = result + size
+    if result >= size:
+        result = result - size
+    return result
+
+
+@wp.func
 def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
     """Bilinear texture look-up; the texture repeats, its row 0 is the one at v = 1, texel centres lie at +0.5."""
     height = texture.shape[0]
@@ -72,10 +82,10 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     y = (wp.float32(1.0) - (uv[1] - wp.floor(uv[1]))) * wp.float32(height) - 0.5
     fx = x - wp.floor(x)
     fy = y - wp.floor(y)
-    x0 = cyclic(wp.int32(wp.floor(x)), width)
-    y0 = cyclic(wp.int32(wp.floor(y)), height)
-    x1 = cyclic(x0 + 1, width)
-    y1 = cyclic(y0 + 1, height)
+    x0 = wrap(wp.int32(wp.floor(x)), width)
+    y0 = wrap(wp.int32(wp.floor(y)), height)
+    x1 = wrap(x0 + 1, width)
+    y1 = wrap(y0 + 1, height)
     top = (1.0 - fx) * texture[y0, x0] + fx * texture[y0, x1]
     bottom = (1.0 - fx) * texture[y1, x0] + fx * texture[y1, x1]
     return (1.0 - fy) * top + fy * bottom
