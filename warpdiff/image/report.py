@@ -89,15 +89,10 @@ def report_of(
     error: NDArray[np.float32], illuminated: NDArray[np.bool_], edges: NDArray[np.bool_] | None, *,
     tolerance: float, refined_share: float, light_sample_count: int,
 ) -> Report:  # fmt: skip
-    """Return the report on estimated errors of pixels.
+    """Return the report on the estimated relative errors of pixels, arrays (height, width).
 
-    Args:
-        error: Estimated relative error of each pixel, (height, width).
-        illuminated: Whether light reached the pixel.
-        edges: Whether an edge passes through it; None without refinement.
-        tolerance: Tolerance of the picture.
-        refined_share: Share of the covered pixels that were subdivided.
-        light_sample_count: Number of directions and lobes that represent the lights.
+    ``edges`` tells through which of them an edge passes; None is a picture without refinement. The other arguments are
+    those of :class:`Report`.
     """
     visible = error[illuminated]
     median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)

@@ -18,6 +18,7 @@ from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
 from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, maps_of, sample_grid
 from warpdiff.optics import colorimetry
+from warpdiff.optics.colorimetry import VISIBLE_NM
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
 
@@ -39,7 +40,6 @@ _DIRECTIONS_AT_ONE = 820.0
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
 _MOST_PARTS = 4
-_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,7 +241,7 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
         x, y, z = sun.towards.tolist()
         to_light = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
         values = sum(float(c) * np.asarray(primary.values) for c, primary in zip(sun.rgb, primaries, strict=True))
-        illuminant = Spectrum(_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
+        illuminant = Spectrum(VISIBLE_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
         deviations = sun.deviation * orthonormal_pair(np.asarray(to_light))
         result.append(LobeSet((Lobe(to_light, illuminant, power, deviations),)))
     return tuple(result)
@@ -253,9 +253,9 @@ def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)
     basis = np.maximum(colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(shape).values, 0.0)
-    per_square = 1e6 / _NM**2
+    per_square = 1e6 / VISIBLE_NM**2
     bright = colorimetry.colour_products("D65")[:, 1]
     white = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values
-    red, green, blue = (Spectrum(_NM, primary * white * per_square, name="environment") for primary in basis.T)
+    red, green, blue = (Spectrum(VISIBLE_NM, primary * white * per_square, name="environment") for primary in basis.T)
     per_radiance = colorimetry.RGB_TO_XYZ[1] * ((bright * per_square) @ basis) / (bright @ basis)
     return (red, green, blue), per_radiance

@@ -17,7 +17,7 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples, subdivision
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import colorimetry, reflectance_factors
-from warpdiff.optics.materials import VISIBLE_NM, IlluminatedMaterial, transmittances
+from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -77,7 +77,7 @@ class PassContext:
         self.pigment_strength = optics.pigment / normal if self.is_pigmented else 0.0
         faces = np.zeros(0, dtype=np.int32) if materials_of_faces is None else materials_of_faces
         self.materials_of_faces = wp.array(faces, dtype=wp.int32, device=device)
-        grid_um = VISIBLE_NM * 1e-3
+        grid_um = colorimetry.VISIBLE_NM * 1e-3
         self._solid_angle = reflectance_factors.pigment_solid_angle(grid_um, optics.coherence, optics.area_um2)
         through = np.zeros((0, 0, 3), dtype=np.float32)
         if self.is_pigmented:

@@ -143,7 +143,7 @@ class LobePass(LightPass):
         """Return the calls that look up the colours of a lobe, material after material."""
         samples, context = batch.samples, self.context
         calls, footprints = [], None
-        if lookup.uses_footprints:
+        if lookup.plan.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), samples.footprints
         gains = samples.gains
         for index, (illuminated,) in enumerate(self.illuminated[lobe]):

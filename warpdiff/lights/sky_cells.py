@@ -59,7 +59,7 @@ def _sky_table(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedM
     spectra have tables of their own, as these are far larger.
     """
     device = lookup.device
-    lookups = lookup.with_zeroth_order(zeroth_order=True), lookup.with_zeroth_order(zeroth_order=False)
+    lookups = lookup.copy_with(zeroth_order=True), lookup.copy_with(zeroth_order=False)
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     places, footprints = cells(directions)
     nodes, spans, order = tree(directions)

@@ -24,7 +24,9 @@ Illuminant = str | Spectrum
 
 # The visible range, over which colours are integrated [nm].
 LAMBDA_MIN_NM = 380
-LAMBDA_MAX_NM = 780  # [nm]
+LAMBDA_MAX_NM = 780
+VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
+VISIBLE_NM.setflags(write=False)
 # Limits of the wavelengths that a caller may pass.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
@@ -100,8 +102,7 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """
     name = check_illuminant(illuminant)
     if isinstance(name, Spectrum):
-        nm = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1)
-        products = _products(np.interp(nm, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
+        products = _products(np.interp(VISIBLE_NM, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
     else:
         products = np.load(PRECOMPUTED[name]) if name in PRECOMPUTED else products_by_colour_science(name)
     products.setflags(write=False)
@@ -145,7 +146,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
     if np.any(np.diff(nodes) <= 0.0):
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
-    grid = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
+    grid = VISIBLE_NM
     # Between two of these both the curves and the interpolant are smooth: three Gauss points each.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]

@@ -176,7 +176,7 @@ class Picture:
             return
         # A device completes one picture.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
-        least_level = pixel_filter.level_of(self._least_samples, means=lookup.uses_footprints)
+        least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:
             # Each light takes all of its cells before the next, so that only whole pictures meet a coarser tolerance.
             count = len(previews) + 1

@@ -118,7 +118,7 @@ class LightRefinement:
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, self.light_pass.occlusion(batch.samples, shadows=shadows),
             batch.samples.gains, buffers.tiles[level], self.sums.xyz, self.sums.errors, sums.ranks,
-            pixel_filter.weights_at(level, self.lookup.uses_footprints, device), level,
+            pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
         ]  # fmt: skip
         outputs = [
             sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_unlit_quadrant, sums.has_edge,
@@ -160,7 +160,9 @@ class LightRefinement:
         result.levels, result.has_unlit_quadrant = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
         result.has_edge = wp.empty(tiles, dtype=wp.bool, device=device)
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
-        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookup.uses_footprints, device.alias)
+        result.filter_normalisation = pixel_filter.filter_normalisation_on(
+            self.lookup.plan.uses_footprints, device.alias
+        )
         return result
 
 

@@ -52,16 +52,7 @@ class CameraRays:
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Prepare the rays of a view, and of later views of the same size.
-
-        Args:
-            surface: The surface.
-            view: The first view.
-            smooth: Whether vertex normals are interpolated.
-            margin: Number of additional pixels on each side.
-            device: The Warp device.
-            threads: Number of threads on the CPU.
-        """
+        """Prepare the rays of a view, and of later views of the same size; the arguments are those of `rays_for`."""
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height

@@ -70,10 +70,12 @@ class ColourTable:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its arrays; of rows, which have space for mip levels, those that are filled."""
+        """Bytes of its arrays; of rows on the CPU, which have space for mip levels, those that are filled."""
         values = [getattr(self.struct, name) for name in self.kernels.Colours.vars if name != "rows"]
         others: int = sum(value.capacity for value in values if isinstance(value, wp.array))
-        return self.layout.rows * int(wp.types.type_size_in_bytes(self.kernels.row)) + others
+        rows = self.fields["rows"]
+        count = self.layout.rows if rows.device.is_cpu else len(rows)
+        return count * int(wp.types.type_size_in_bytes(self.kernels.row)) + others
 
     def with_mip_levels(self, **options: Any) -> ColourTable:
         """The table with mip levels, which are blurred from its level 0 into the same rows."""
@@ -192,9 +194,10 @@ def _fields(
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
+    # Levels come behind, if any: until then theirs is no memory on the CPU.
+    layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
-        # Levels come behind, if any: until then theirs is no memory on the CPU.
-        "rows": wp.empty(source.layout.with_mip_levels().rows, dtype=kernels.row, device=device),
+        "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
         "w_basis": wp.array(projection.w_basis, dtype=kernels.w_basis, device=device),
         "least_w": projection.ws[0], "per_w": 1.0 / (projection.ws[1] - projection.ws[0]),
         "rings_per_octave": grid.rings, "octaves_per_ring": (1.0 + 1e-6) / grid.rings, "rings_per_log": per_log,

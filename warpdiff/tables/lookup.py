@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
+# Limit of what is made from look-ups, such as tables of skies, of tens to hundreds of megabytes.
+_MOST_DERIVED = 2
 # Look-ups of a slice.
 _LOOK_UPS_OF_SLICE = 2048
 
@@ -43,7 +45,7 @@ class ColourLookup:
         self._range, self._zeroth_order = direction_range, zeroth_order
         self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
-        self.derived: LruCache[Any] = LruCache()
+        self.derived: LruCache[Any] = LruCache(most=_MOST_DERIVED)
         self._table: coefficient_table.Table | None = None
         if plan.rings_per_octave:
             self._taps = footprint_taps(device.alias, source_type(plan.coherence).tap_rule)
@@ -51,8 +53,7 @@ class ColourLookup:
 
     def accumulate(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array, *, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
-        among: range | None = None, **options: Any,
+        xyz: wp.array, *, footprints: wp.array | None = None, among: range | None = None, **options: Any,
     ) -> None:  # fmt: skip
         """Add the XYZ of scattering vectors (n,) to those in ``xyz``.
 
@@ -63,17 +64,16 @@ class ColourLookup:
             illuminated: The illuminant, and the material that it falls on.
             xyz: What is added to.
             footprints: What each pixel's filter does to (u, v), for a plan with footprints.
-            unserved_gain: Where a table that leaves directions out puts their gains, (n,) or more; None makes it.
             among: Which of them, from a whole run on; None is all.
             options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
         """
         options.setdefault("slice_size", self.slice_size)
-        calls = self.kernel_calls(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)
+        calls = self.kernel_calls(scattering_vectors, to_lights, gains, illuminated, xyz, footprints)
         launch_pipeline(
             calls, len(gains) if among is None else among, device=self.device, threads=self._threads, **options
         )
 
-    def with_zeroth_order(self, *, zeroth_order: bool) -> ColourLookup:
+    def copy_with(self, *, zeroth_order: bool) -> ColourLookup:
         """Return a look-up by the same plan with or without the zeroth order, with tables of its own."""
         return ColourLookup(
             self.heightfield, self.plan, self._range, zeroth_order=zeroth_order, device=self.device,
@@ -90,16 +90,14 @@ class ColourLookup:
         """Whether a table excludes some directions, as those of lines do."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
-    @property
-    def uses_footprints(self) -> bool:
-        """Whether a table takes means over footprints."""
-        return self.plan.uses_footprints
-
     def kernel_calls(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
-        """The kernel calls of ``accumulate``."""
+        """Return the kernel calls of :meth:`accumulate`.
+
+        A table that excludes directions writes their gains into ``unserved_gain``, (n,) or more; None makes the array.
+        """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
             return [self._sample([*directions, gains], illuminated, xyz)]

@@ -63,8 +63,7 @@ class ZerothOrder:
         """Variance of the lobe in (u, v) along each axis, at a wavelength [µm]; of a source, under light from above."""
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
-        per_window = 8.0 if self.coherence.adds_powers else 4.0
-        return wavelength_um**2 / (per_window * (math.pi * self.coherence.sigma_um) ** 2)
+        return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)
 
 
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:

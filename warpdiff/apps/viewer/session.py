@@ -308,7 +308,8 @@ class Studio:
             image = renderer.image()
             ready = time.perf_counter()
             saving = self._display_options(session, request, image, moving=request.moving and stage.tolerance is None)
-            display = saving | _background(scene, lights, view)
+            behind = {"background": lights[-1].background(view) / np.float32(scene.normal)} if scene.is_behind else {}
+            display = saving | behind
             pixels = encoding.displayed(image, exact=stage.last, **display)
             displayed = time.perf_counter()
             data = encoding.encoded(pixels, lossless=stage.last)
@@ -481,11 +482,6 @@ def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
-
-
-def _background(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
-    """Return the environment as a picture's background, if it is one."""
-    return {"background": lights[-1].background(view) / np.float32(scene.normal)} if scene.is_behind else {}
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:
