@@ -8,7 +8,7 @@ import warpdiff as wd
 from warpdiff.kernels import coefficient_sum
 
 
-@wp.kernel(module="unique")
+@wp.kernel(module="unique", enable_backward=False)
 def reflectances_of(
     quadrature: coefficient_sum.Quadrature, scattering_vectors: wp.array(dtype=wp.vec3d),
     wavenumbers: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float32),

@@ -11,7 +11,7 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 COUNT = 100
 
 
-@wp.kernel(module="unique")
+@wp.kernel(module="unique", enable_backward=False)
 def interpolated(
     reflection: light_samples.Reflection, directions: wp.array(dtype=wp.vec3f),
     energy_out: wp.array(dtype=wp.float32), transmittance_out: wp.array(dtype=wp.vec3f),

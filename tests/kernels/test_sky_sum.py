@@ -16,7 +16,7 @@ from warpdiff.optics import reflectance_factors
 COUNT = 200
 
 
-@wp.kernel(module="unique")
+@wp.kernel(module="unique", enable_backward=False)
 def call_functions(
     along: wp.array(dtype=wp.vec3f), views: wp.array(dtype=wp.vec3f), sky: octahedral_maps.SkyMap,
     table: sky_sum.SkyTable, reflection: Reflection, footprints: wp.array(dtype=Footprint), visibility: sky_sum.open_t,
