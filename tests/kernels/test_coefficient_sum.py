@@ -17,6 +17,27 @@ def reflectances_of(
     result[i] = coefficient_sum.reflectance_of(quadrature, scattering_vectors[i], wavenumbers[i])
 
 
+@wp.kernel(module="unique", enable_backward=False)
+def factors_of(
+    positions: wp.array(dtype=wp.float64), periods: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float32)
+):
+    i = wp.tid()
+    result[i] = coefficient_sum.interference_factor(positions[i], periods[i])
+
+
+def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
+    periods = rng.integers(2, 50, 300).astype(float)
+    turns = np.concatenate([rng.uniform(-0.02, 0.02, 150), rng.uniform(-0.5, 0.5, 150) * periods[150:]])
+    turns[0] = 0.0
+    positions = rng.integers(-20, 20, 300) + turns / periods
+    inputs = [wp.array(values, dtype=wp.float64, device="cpu") for values in (positions, periods)]
+    result = wp.zeros(300, dtype=wp.float32, device="cpu")
+    wp.launch(factors_of, 300, inputs, [result], device="cpu")
+    turns[0] = 1e-9
+    expected = (np.sin(np.pi * turns) / (periods * np.sin(np.pi * turns / periods))) ** 2
+    np.testing.assert_allclose(result.numpy(), expected, rtol=1e-5, atol=1e-6)
+
+
 def test_reflectances_of_a_material_are_bilinear(rng):
     """Between entries, and at the ends of either axis."""
 

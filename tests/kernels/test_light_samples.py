@@ -28,7 +28,10 @@ def array(values, dtype):
 def test_factors_are_linear_between_angles(rng):
     """Energy by √(1 − cos θ) and by |x| + |y| around; transmittances by cos θ."""
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
-    energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(2, 6, 3))
+    directions[0] = (1e-5, 1e-5, 1.0)
+    energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
+    # No entry beyond the last one of a material is read.
+    transmittances[2] = np.nan
     reflection = light_samples.Reflection()
     reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
     energy_factors, through = array(np.zeros(COUNT), wp.float32), array(np.zeros((COUNT, 3)), wp.vec3f)

@@ -24,7 +24,7 @@ def test_either_set_represents_all_candidates(rng):
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
 
 
-@pytest.mark.parametrize("count", [100, 300])
+@pytest.mark.parametrize("count", [100, 300, 384])
 def test_few_candidates_are_all_validation_directions(count, rng):
     lights = hemisphere(rng, count)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(count), np.ones(count))
