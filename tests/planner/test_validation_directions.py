@@ -12,7 +12,7 @@ def test_either_set_represents_all_candidates(rng):
     lights, views = hemisphere(rng, 1000), hemisphere(rng, 1000)
     candidates = DirectionSample(-lights - views, lights, rng.uniform(0.1, 1.0, 1000), np.full(1000, 7.0))
     luminance = rng.lognormal(0.0, 2.0, 1000)
-    sets = validation_directions.sampled(candidates, np.arange(1000) < 40, luminance, float(np.median(luminance)))
+    sets = validation_directions.sampled(candidates, np.arange(1000) < 200, luminance, float(np.median(luminance)))
     assert [len(sample) for sample in sets] == [128, 256]
     lights_of = [set(map(tuple, sample.to_lights)) for sample in sets]
     assert [len(drawn) for drawn in lights_of] == [128, 256]
@@ -22,6 +22,9 @@ def test_either_set_represents_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
+        # All directions, bright ones and edge cases are drawn 1, 1 and 1/4 times; a fifth of the first two are the last.
+        edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
+        assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
 
 @pytest.mark.parametrize("count", [100, 300, 384])
