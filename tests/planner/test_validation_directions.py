@@ -22,7 +22,7 @@ def test_either_set_represents_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # All directions, bright ones and edge cases are drawn 1, 1 and 1/4 times; a fifth of the first two are the last.
+        # All, the bright and the edge cases have shares of 1, 1 and 1/4. A fifth of the first two are edge cases.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
