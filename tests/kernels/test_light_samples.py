@@ -59,7 +59,7 @@ def test_a_lights_extent_adds_its_covariance(rng):
     lights.deviations = array(deviations, wp.vec3f)
     footprints = rng.normal(size=(COUNT, 4))
     result = array(footprints, Footprint)
-    wp.launch(light_samples.add_light_extent, (1, 1), [lights, 1, pixels, 0, COUNT], [result], device="cpu")
+    wp.launch(light_samples.add_light_extent, (2, 1), [lights, 1, pixels, 0, COUNT // 2], [result], device="cpu")
 
     def covariances(values):
         changes = values.reshape(-1, 2, 2)
@@ -103,8 +103,8 @@ def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng
     pixels.to_view, pixels.shadow_origin = array([v for _, v in hits], wp.vec3f), array([p for p, _ in hits], wp.vec3f)
     pixels.tangent, pixels.bitangent = array(tangents, wp.vec3f), array(bitangents, wp.vec3f)
     result = array(np.ones((COUNT, 4)), Footprint)
-    inputs = [camera, surface, pixels, lights, 1, deviation, 0, COUNT]
-    wp.launch(light_samples.add_light_rotation, (1, 1), inputs, [result], device="cpu")
+    inputs = [camera, surface, pixels, lights, 1, deviation, 0, COUNT // 2]
+    wp.launch(light_samples.add_light_rotation, (2, 1), inputs, [result], device="cpu")
     steps = np.diag([2.0, -2.0]) * deviation * half / (width, height) * 1e-3
     for i in range(COUNT):
         turns = [1e3 * (towards(hits[i][0]) - towards(met(x[i] + dx, y[i] + dy)[0])) for dx, dy in steps]

@@ -44,3 +44,17 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, rng):
         assert unlit.numpy()[5] == (0 if kind == 1 else 1 << quadrant)
         assert has_edge.numpy()[5] == (kind > 0)
         assert levels.numpy().tolist() == 5 * [0] + [level] + 3 * [0]
+
+
+def test_each_pixel_of_all_threads_gets_a_lights_share_once(rng):
+    colours, others = rng.uniform(size=(2, 12, 3))
+    errors, other_errors = rng.uniform(size=(2, 12))
+    illuminated, others_illuminated = rng.uniform(size=(2, 12)) < 0.5
+    inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
+    outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
+    wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
+    # The first pixel and the last one belong to no thread.
+    share = np.arange(12) % 11 > 0
+    np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
+    np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)
+    np.testing.assert_array_equal(outputs[2].numpy(), others_illuminated | (share & illuminated))
