@@ -10,7 +10,7 @@ from scipy.stats import truncnorm
 
 from warpdiff.kernels import octahedral_maps, sky_sum
 from warpdiff.kernels.light_samples import Reflection
-from warpdiff.kernels.structs import Footprint
+from warpdiff.kernels.structs import Footprint, Pixels
 from warpdiff.optics import reflectance_factors
 
 COUNT = 200
@@ -183,3 +183,19 @@ def test_a_frame_that_turns_keeps_the_view(results):
     above = np.sum(normals * towards, axis=1) > 0.05
     np.testing.assert_allclose(np.einsum("nij,nj->ni", axes, towards)[above], view[above], atol=1e-5)
     assert np.all(axes[:, 1, 2] > 0.0)
+
+
+def test_mirror_directions_are_those_of_reflected_views(rng):
+    """The scattering vector is −2 cos θ along the normal of the surface; the light has its direction in the world."""
+    views, normals, hit = hemisphere(rng, COUNT), hemisphere(rng, COUNT), np.arange(COUNT) % 10 > 0
+    pixels = Pixels()
+    pixels.hit, pixels.to_view, pixels.normal = array(hit, wp.int32), array(views, wp.vec3f), array(normals, wp.vec3f)
+    vectors, to_lights = array(np.ones((COUNT, 3)), wp.vec3d), array(np.ones((COUNT, 3)), wp.vec3f)
+    gains, illuminated = array(np.full(COUNT, 7.0), wp.float32), array(np.zeros(COUNT), wp.bool)
+    nothing = array(np.empty((0, 3)), wp.vec3f), array([], wp.float64)
+    outputs = [vectors, to_lights, gains, *nothing, illuminated]
+    wp.launch(sky_sum.mirror_directions, (2, 1), [pixels, 0.0, True, True, 0, COUNT // 2], outputs, device="cpu")
+    cosines = np.sum(views * normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(to_lights.numpy(), hit[:, None] * (2.0 * cosines * normals - views), atol=1e-6)
+    np.testing.assert_allclose(vectors.numpy(), hit[:, None] * cosines * (0.0, 0.0, -2.0), atol=1e-6)
+    np.testing.assert_array_equal(gains.numpy(), hit)
