@@ -157,7 +157,7 @@ class Run:
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
-            used = {name.rpartition(".")[2] for name in newer}
+            used = {name if name.endswith(".h") else name.rpartition(".")[2] for name in newer}
             newer = {name for name, names in self._uses.items() if not names.isdisjoint(used)} - reached
             reached = reached | newer
         folder = f"tests/{'kernels' if mutant.package == 'native' else mutant.package}/"
