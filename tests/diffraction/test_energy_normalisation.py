@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import noise
 
 import warpdiff as wd
 from bench.truth.pictures import furnace_picture
@@ -24,6 +25,15 @@ def at(polar_deg, azimuth_deg):
 
 def seen_from(towards):
     return wd.View.orthographic(4.0 * np.array(towards), (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
+
+
+@pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
+def test_powers_of_all_bins_are_all_power(bin_um):
+    """By Parseval's theorem, as the orders of a pitch of 0.1 µm end at 5/µm."""
+    powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
+    bins = np.arange(len(powers.frequencies))
+    for kappa in (0.0, 1.7, 3.1, 7.9):
+        assert powers.at(bins, kappa).sum() == pytest.approx(1.0, rel=1e-6)
 
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():

@@ -148,3 +148,11 @@ def test_bessel_functions_are_the_tabulated_ones():
     for (order, argument), value in known.items():
         assert phase_series.bessel_j(argument, order + 1)[order] == pytest.approx(value, abs=2e-14)
         assert phase_series.bessel_j(-argument, order + 1)[order] == pytest.approx((-1) ** order * value, abs=2e-14)
+
+
+def test_a_block_holds_all_orders_up_to_a_frequency_and_its_neighbours():
+    """0.7 /µm are 7 periods of 10 µm and 14 of 20 µm."""
+    grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
+    block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))
+    for orders, last in zip(block.orders(), (8, 17), strict=True):
+        np.testing.assert_array_equal(orders, np.arange(-last, last + 1))

@@ -208,3 +208,8 @@ def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
         ]
         expected = (found.efficiencies / stam.efficiencies)[0, above]
         np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)
+
+
+def test_efficiencies_print_their_orders_and_wavelengths():
+    orders = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.3), (0, 0, 1), [400.0, 700.0, 550.0])
+    assert repr(orders) == f"OrderEfficiencies({len(orders.orders)} orders, 3 wavelengths, 400 to 700 nm)"

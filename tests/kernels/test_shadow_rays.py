@@ -224,7 +224,7 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grid", camera_rays.CameraRays.shadow_grid)
+    monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grids", camera_rays.CameraRays.shadow_grids)
     expected = wd.shade(mesh, heightfield, lights, view, **options)
     assert len(made) == grid_count
     np.testing.assert_array_equal(result.xyz, expected.xyz)

@@ -77,6 +77,26 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     assert shown[0] == pytest.approx(4.0 * shown[1], rel=1e-2)
 
 
+def test_pigment_is_that_of_a_light_in_the_direction_of_each_pixel(fingers):
+    coloured, place = square(), np.array([0.4, -0.3, 0.7])
+    coloured.visual = trimesh.visual.TextureVisuals(
+        uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
+    )
+    view = wd.View.orthographic((0, 0, 4), (0, 0, 0), up=(0, 1, 0), extent_y=1.2, width=3, height=3)
+    options = OPTIONS | {"footprint": False, "plan": wd.plan(fingers, coherence=WINDOW, tolerance=3e-2)}
+
+    def pigment(light):
+        pictures = [wd.shade(coloured, fingers, light, view, **(options | {"pigment": n})).xyz for n in (0.0, 100.0)]
+        return pictures[1] - pictures[0]
+
+    result = pigment(wd.PointLight(tuple(place)))
+    for row in range(3):
+        for column in range(3):
+            away = place - [0.4 * (column - 1), 0.4 * (1 - row), 0.0]
+            light = wd.DirectionalLight(tuple(away), power=1.0 / float(away @ away))
+            np.testing.assert_allclose(result[row, column], pigment(light)[row, column], rtol=2e-3)
+
+
 def test_too_much_light_is_refused(fingers):
     with pytest.raises(ValueError, match=r"a power of 1e\+06, and must have at most 1e\+09 times the square"):
         wd.shade(square(size=1e-3), fingers, wd.PointLight((0.0, 0.0, 1.0), power=1e6), VIEW, **OPTIONS)

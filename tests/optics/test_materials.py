@@ -117,6 +117,14 @@ BAD_FILES = {
 }  # fmt: skip
 
 
+def test_a_formula_that_has_no_index_at_some_wavelengths_is_refused(tmp_path):
+    """n² = λ/µm − 1 is negative up to 1 µm."""
+    text = "DATA:\n  - type: formula 3\n    wavelength_range: 0.3 2.5\n    coefficients: -1 1 1\n"
+    (tmp_path / "a.yml").write_text(text)
+    with pytest.raises(ValueError, match="formula 3 must have a finite index of refraction at all wavelengths"):
+        wd.Material.from_file(tmp_path / "a.yml")
+
+
 @pytest.mark.parametrize("text", BAD_FILES)
 def test_other_files_are_refused(text, tmp_path):
     (tmp_path / "a.csv").write_text(text)

@@ -27,6 +27,14 @@ def test_hot_and_cold_bodies_have_their_colours():
     assert np.isfinite([cold, hot]).all()
 
 
+@pytest.mark.parametrize("kelvin", [500.0, 2855.5, 1e5])
+def test_a_black_body_is_plancks_law_relative_to_560_nm(kelvin):
+    body = wd.Spectrum.blackbody(kelvin)
+    # With the second constant of CIE 15, 1.4388e-2 m K.
+    power = body.wavelengths_nm**-5 / np.expm1(1.4388e7 / (kelvin * body.wavelengths_nm))
+    np.testing.assert_allclose(body.values, power / power[body.wavelengths_nm == 560.0], rtol=1e-6)
+
+
 def test_a_file_is_read_by_its_columns(tmp_path):
     nm = np.arange(360, 831, 5)
     body = wd.Spectrum.blackbody(4000.0)

@@ -1,0 +1,175 @@
+"""One-token changes of Python sources, two hand-made faults of each C++ header, and their draw for a mutation run."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import keyword
+import re
+import tokenize
+from collections import Counter
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# Packages that are changed, and their folders below the root of a checkout.
+PACKAGES = {
+    "optics": "warpdiff/optics", "diffraction": "warpdiff/diffraction", "evaluate": "warpdiff/evaluate",
+    "planner": "warpdiff/planner", "kernels": "kernels",
+}  # fmt: skip
+NATIVE = "kernels/native"
+
+# Tokens, old to new; a hash selects one of several. Names of functions are changed where they are called.
+PAIRS = (
+    "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
+    "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
+)  # fmt: skip
+TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.split()[::-1])} | {
+    "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
+    "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
+}  # fmt: skip
+# Calls that are not changed: messages, names in messages, types, and options of the compiler.
+UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
+
+# Faults of the headers: "header: text" by line. The text occurs once in the header, with «old|new» in place of old.
+FAULTS = Path(__file__).with_name("header_faults.txt")
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change of one file.
+
+    Attributes:
+        package: Package that is changed, or ``"native"`` for a header.
+        path: File below the root of the checkout.
+        begin: First byte that is replaced.
+        old: Text that is replaced.
+        new: Text in its place.
+        line: Line of the change.
+        names: Function, method, class or variables that the line defines; the name of a header.
+        identity: Text that names the change on other commits, too: it has no file and no line number.
+    """
+
+    package: str
+    path: str
+    begin: int
+    old: str
+    new: str
+    line: int
+    names: tuple[str, ...]
+    identity: str
+
+    def apply(self, source: bytes) -> bytes:
+        """Return the source with the change."""
+        return source[: self.begin] + self.new.encode() + source[self.begin + len(self.old.encode()) :]
+
+
+def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
+    """Return each statement of a module with the names that it defines, and each method after its class."""
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield (node.name,), node
+            methods = node.body if isinstance(node, ast.ClassDef) else []
+            yield from (((f"{node.name}.{m.name}",), m) for m in methods if isinstance(m, ast.FunctionDef))
+        else:
+            names = [part for part in ast.walk(node) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)]
+            yield tuple(part.id for part in names), node
+
+
+def _skipped(node: ast.AST) -> list[ast.AST | None]:
+    """Parts of a node that are not changed: annotations, decorators, messages, imports for type checkers."""
+    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        return [*node.decorator_list, getattr(node, "returns", None)]
+    if isinstance(node, (ast.arg, ast.AnnAssign)):
+        return [node.annotation]
+    name = ast.unparse(node.func).rpartition(".")[2] if isinstance(node, ast.Call) else ""
+    is_message = name in UNTOUCHED or name.endswith(("Error", "Warning"))
+    is_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    is_strict = isinstance(node, ast.keyword) and node.arg == "strict"
+    is_other = isinstance(node, (ast.Raise, ast.Import, ast.ImportFrom))
+    return [node] if is_message or is_types or is_strict or is_other else []
+
+
+def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str]]:
+    """First byte, old and new text of changed tokens."""
+    types = {tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING}
+    tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type in types]
+    for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
+        row, column = token.start
+        old = "is not" if (token.string, after.string) == ("is", "not") else token.string
+        choices = TOKENS.get(old, ())
+        is_keyword = keyword.iskeyword(before.string) and before.string not in {"True", "False", "None"}
+        is_unary = is_keyword or (before.type == tokenize.OP and before.string not in {")", "]", "}"})
+        if token.type == tokenize.NUMBER:
+            choices = (changed_number(ast.literal_eval(old)),)
+        elif old.isidentifier() and not keyword.iskeyword(old):
+            choices *= after.string == "("
+        elif old == "not" and (before.string == "is" or after.string == "in"):
+            choices = ()
+        elif token.type == tokenize.OP and is_unary:
+            choices = ("",) * (old in {"-", "~"})
+        elif old in {"+", "*", "%"} and tokenize.STRING in {before.type, after.type}:
+            choices = ()
+        if choices:
+            digest = hashlib.sha256(f"{token.line.strip()}{column}".encode()).digest()
+            begin = starts[row - 1] + len(token.line[:column].encode())
+            yield begin, old, choices[digest[0] % len(choices)]
+
+
+def changed_number(value: complex) -> str:
+    """Return another number of the same type: 0 for 1 and 1 for 0, the next integer, or 1.1 times a float."""
+    if isinstance(value, int):
+        return str(value + 1 if value > 1 else 1 - value)
+    return repr(type(value)(f"{value * 1.1 if value else 1.0:.6g}"))
+
+
+def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
+    """Return all changes of a package's Python files."""
+    counts: Counter[str] = Counter()
+    for path in sorted((root / PACKAGES[package]).glob("*.py")):
+        source = path.read_bytes()
+        tree, lines = ast.parse(source), source.decode().splitlines()
+        starts = [0, *accumulate(len(line) for line in source.splitlines(keepends=True))]
+        skipped = [_span(part, starts) for node in ast.walk(tree) for part in _skipped(node) if part]
+        names: dict[int, tuple[str, ...]] = {}
+        for defined, part in definitions(tree):
+            names |= dict.fromkeys(range(part.lineno, part.end_lineno + 1), defined)
+        for begin, old, new in _token_changes(source.decode(), starts):
+            if not any(first <= begin < last for first, last in skipped):
+                line = source.count(b"\n", 0, begin) + 1
+                identity = "|".join((package, *names[line], lines[line - 1].strip(), old, new))
+                counts[identity] += 1
+                place = package, path.relative_to(root).as_posix(), begin
+                yield Mutant(*place, old, new, line, names[line], f"{identity}|{counts[identity]}")
+
+
+def _span(node: ast.AST, starts: list[int]) -> tuple[int, int]:
+    """First byte of a node, and the byte after it."""
+    return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+
+
+def header_mutants(root: Path) -> Iterator[Mutant]:
+    """Return the hand-made faults of the C++ headers; the text around each must occur exactly once."""
+    for fault in FAULTS.read_text(encoding="utf-8").splitlines():
+        header, _, text = fault.partition(": ")
+        before, old, new, after = re.split("[«|»]", text)
+        parts = (root / NATIVE / header).read_text(encoding="utf-8").split(before + old + after)
+        if len(parts) != 2:
+            raise ValueError(f"{fault!r} must describe one place, and describes {len(parts) - 1}")
+        source = parts[0] + before
+        place = "native", f"{NATIVE}/{header}", len(source.encode()), old, new, source.count("\n") + 1
+        yield Mutant(*place, (header,), f"native|{fault}")
+
+
+def draw(root: Path, seed: str) -> list[Mutant]:
+    """Return the changes of all packages in random order, of which a first part is a draw.
+
+    A hash of the seed and of a change's text orders the changes: draws by one seed on two commits are comparable.
+    """
+    mutants = (mutant for package in PACKAGES for mutant in mutants_of(root, package))
+    return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

@@ -1,0 +1,242 @@
+"""Mutation score: share of one-token faults of the sources that the tests detect, for one or several commits.
+
+``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder and records once
+which functions and kernels each test executes. It then makes one change after the other and runs the tests that execute
+it, the most specific first. The seed draws the changes; ``--headers`` makes two faults of each C++ header instead.
+Commits take turns, so that an interrupted run compares them, too; the same command continues it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib.util
+import inspect
+import json
+import multiprocessing
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from itertools import accumulate, zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import warp as wp
+from scipy.stats import binomtest
+
+from bench.dev.baseline import export
+from bench.dev.mutant_sites import NATIVE, PACKAGES, Mutant, definitions, draw, header_mutants
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+
+ROOT = Path(__file__).resolve().parents[2]
+# Tests that may run; others are of interfaces, files and signals.
+TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
+TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
+# Limit: time after which a change has timed out, relative to the limit of its tests, and to compile kernels [s].
+PATIENCE, COMPILE_S = 4.0, 60.0
+# Limit: address space of a process [bytes]; changes of sizes would exhaust the machine.
+MEMORY = 12 << 30
+# Processes that run tests are forks of one that has imported the slow packages, but not this one.
+PROCESSES = multiprocessing.get_context("forkserver")
+PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
+
+
+class Recorder:
+    """Plugin of pytest that records time, functions and kernels of each test function, and whether it fails."""
+
+    def __init__(self, tree: Path, output: Path) -> None:
+        self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
+        self._tests: dict[str, dict[str, Any]] = defaultdict(lambda: {"seconds": 0.0, "names": [], "failed": False})
+        self._names: set[str] = set()
+        threading.settrace(self._trace)
+
+    def _trace(self, frame: FrameType, _event: str, _argument: object) -> None:
+        code = frame.f_code
+        if code is wp.launch.__code__:
+            self._names.add(frame.f_locals["kernel"].func.__qualname__.partition(".<locals>")[0])
+        elif code.co_flags & inspect.CO_OPTIMIZED and code.co_filename.startswith(self._folders):
+            self._names.add(code.co_qualname.partition(".<locals>")[0])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Record one test, with the fixtures that are made for it."""
+        self._names.clear()
+        sys.settrace(self._trace)
+        begin = time.process_time()
+        result = yield
+        test = self._tests[item.nodeid.partition("[")[0]]
+        test["seconds"] += time.process_time() - begin
+        test["names"] = sorted(self._names.union(test["names"]))
+        return result
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Record a failure."""
+        self._tests[report.nodeid.partition("[")[0]]["failed"] |= report.failed
+
+    def pytest_sessionfinish(self) -> None:
+        """Write the record."""
+        sys.settrace(None)
+        self._output.write_text(json.dumps(self._tests), encoding="utf-8")
+
+
+def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
+    """Run tests of a copy until one fails, or record all of them, and end the process that is forked for it."""
+    os.setsid()
+    os.chdir(tree)
+    data = os.environ.get("WARPDIFF_DATA") or str(ROOT.parent / "shared" / "data")
+    os.environ.update(WARP_CACHE_PATH=f"{tree}-kernels", WARPDIFF_DATA=data)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    log = os.open(f"{tree}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    # The copy has a bench of its own.
+    for name in [name for name in sys.modules if name.partition(".")[0] == "bench"]:
+        del sys.modules[name]
+    sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
+    options = ["-q", "--tb=no", "-p", "no:cacheprovider", f"--basetemp={tree}-tmp", *([] if record else ["-x"])]
+    sys.exit(pytest.main([*options, *tests], [Recorder(tree, record)] if record else None))
+
+
+def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path | None = None) -> str:
+    """Run tests of a copy; return ``"survived"``, ``"timed out"``, or the test function that failed."""
+    process = PROCESSES.Process(target=pytest_of_copy, args=(tree, tests, record))
+    process.start()
+    process.join(limit_s)
+    if process.exitcode is None:
+        os.killpg(process.pid, signal.SIGKILL)
+        return "timed out"
+    log = Path(f"{tree}.log").read_text(encoding="utf-8", errors="replace")
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+?)(?:\[.*)?(?: - .*)?$", log, re.MULTILINE)
+    return "survived" if process.exitcode == 0 else failed[1] if failed else f"exit {process.exitcode}"
+
+
+class Run:
+    """Copy of one commit, its tests, and the results of changes."""
+
+    def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
+        self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
+        tests, self._log = Path(f"{self.tree}_tests.json"), Path(f"{self.tree}_{seed[:10]}.jsonl")
+        # An interrupted run may have left a change.
+        export(commit, self.tree)
+        if not (self.tree / "warpdiff" / "kernels").exists():
+            (self.tree / "warpdiff" / "kernels").symlink_to("../kernels", target_is_directory=True)
+        if not tests.exists():
+            places = [f"tests/{name}" for name in TESTS if (self.tree / "tests" / name).exists()]
+            run_pytest(self.tree, places, None, tests)
+        recorded = json.loads(tests.read_text(encoding="utf-8"))
+        self._tests = {name: test for name, test in recorded.items() if not test["failed"]}
+        self._executed = {name for test in self._tests.values() for name in test["names"]}
+        self._uses = dict(self._used_names())
+        self._log.touch()
+        self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
+
+    def _used_names(self) -> Iterator[tuple[str, set[str]]]:
+        """Return each definition with the names that it uses; statements that define none count for all of a module."""
+        for path in (self.tree / NATIVE).glob("*.h"):
+            yield path.name, set(re.findall(r'#include "(\w+\.h)"', path.read_text(encoding="utf-8")))
+        for path in [*self.tree.glob("warpdiff/**/*.py"), *self.tree.glob("kernels/*.py")]:
+            parts = list(definitions(ast.parse(path.read_bytes())))
+            shared = set().union(*(_names_in(node) for defined, node in parts if not defined))
+            yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
+
+    def tests_of(self, mutant: Mutant) -> list[str]:
+        """Return test functions, the most specific and the fastest first.
+
+        They are those of the module's own file, and those that execute what is changed. If no test executes it by
+        itself, as with constants, structs and functions of kernels, they execute what uses it.
+        """
+        reached = newer = set(mutant.names)
+        while newer := newer - self._executed:
+            used = {name if name.endswith(".h") else name.rpartition(".")[2] for name in newer}
+            newer = {name for name, names in self._uses.items() if not names.isdisjoint(used)} - reached
+            reached = reached | newer
+        folder = f"tests/{'kernels' if mutant.package == 'native' else mutant.package}/"
+        ranked = []
+        for name, test in self._tests.items():
+            is_own = name.startswith(f"{folder}test_{Path(mutant.path).stem}.py")
+            if is_own or not reached.isdisjoint(test["names"]):
+                ranked.append((not is_own, not name.startswith(folder), test["seconds"], name))
+        ranked.sort()
+        ends = accumulate(seconds for *_, seconds, _ in ranked)
+        return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
+
+    def test(self, mutant: Mutant) -> None:
+        """Make a change, run its tests, and record the result."""
+        begin, path, tests = time.perf_counter(), self.tree / mutant.path, self.tests_of(mutant)
+        source = path.read_bytes()
+        path.write_bytes(mutant.apply(source))
+        changed = path.read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
+        result = run_pytest(self.tree, tests, COMPILE_S + PATIENCE * self._most_s) if tests else "survived"
+        path.write_bytes(source)
+        # Byte code is known by size and time in seconds, which may be equal.
+        Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
+        record = {
+            "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,
+            "tests": len(tests), "seconds": round(time.perf_counter() - begin, 1), "identity": mutant.identity,
+        }  # fmt: skip
+        self.records.append(record)
+        with self._log.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record, ensure_ascii=False) + "\n")
+        print(self.commit[:10], *record.values(), flush=True)
+
+
+def _names_in(node: ast.AST) -> set[str]:
+    """Names, attributes and headers in a part of a source."""
+    names = {getattr(part, "id", "") or getattr(part, "attr", "") for part in ast.walk(node)}
+    headers = {str(part.value) for part in ast.walk(node) if isinstance(part, ast.Constant)}
+    return names - {""} | {name for name in headers if name.endswith(".h")}
+
+
+def table(records: list[dict[str, Any]]) -> str:
+    """Return scores of all drawn changes, by package, and of the headers' faults, and the survivors, as Markdown."""
+    lines = ["| package | changes | detected | score | 95 % interval |", "| --- | --- | --- | --- | --- |"]
+    for name in ("all", *PACKAGES, "native"):
+        group = [r for r in records if r["package"] == name or (name == "all" and r["package"] != "native")]
+        survived = [r["result"] == "survived" for r in group]
+        if survived:
+            detected, count = survived.count(False), len(survived)
+            low, high = binomtest(detected, count).proportion_ci(method="wilson")
+            lines.append(f"| {name} | {count} | {detected} | {detected / count:.1%} | {low:.1%} to {high:.1%} |")
+    lines += ["", "| survivor | changed line |", "| --- | --- |"]
+    survivors = [(r["place"], r["changed"].replace("|", "\\|")) for r in records if r["result"] == "survived"]
+    return "\n".join(lines + [f"| {place} | `{changed}` |" for place, changed in sorted(survivors)])
+
+
+def main() -> None:
+    """Run changes until all are done or the time is over, and print the scores."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("commits", nargs="+", help="commits whose sources and tests run")
+    parser.add_argument("--seed", default="HEAD", help="commit whose hash draws the changes (HEAD)")
+    parser.add_argument("--count", type=int, default=400, help="number of changes (400)")
+    parser.add_argument("--headers", action="store_true", help="make the faults of the headers instead")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no change after this time (no limit)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
+    parser.add_argument("--output", type=Path, default=Path("bench_results/mutants"), help="(bench_results/mutants)")
+    options = parser.parse_args()
+    end = time.monotonic() + 60.0 * options.minutes
+    command = ["git", "-C", str(ROOT), "rev-parse", options.seed, *options.commits]
+    seed, *commits = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    options.output.mkdir(parents=True, exist_ok=True)
+    runs = [Run(commit, seed, options.seconds, options.output) for commit in commits]
+    draws = [header_mutants(run.tree) if options.headers else draw(run.tree, seed)[: options.count] for run in runs]
+    for mutants in zip_longest(*draws):
+        for run, mutant in zip(runs, mutants, strict=True):
+            is_new = mutant and all(record["identity"] != mutant.identity for record in run.records)
+            if is_new and time.monotonic() < end:
+                run.test(mutant)
+    for run in runs:
+        print(f"\nCommit {run.commit}, seed {seed}\n\n{table(run.records)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The mutation run: its changes, its draw and its table; and that the headers' faults fit the headers."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from bench.dev import mutant_sites, mutants
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = '''"""At most 3 - 1."""
+
+SIZE: Annotated[int, 5] = 2
+if TYPE_CHECKING:
+    from somewhere import a
+
+
+@cache(maxsize=7)
+def nearest(values: "list[9]", *, axis=-1, **options: float) -> int:
+    """Not 4 + 4."""
+    if values is not None and len(values) < 0.5:
+        raise ValueError(f"more than {1 + 1}: " + "too many" * 2)
+    return not swap(x, values[1]) + swap(a + b, c - d) * max(values, 0)
+'''
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A checkout whose packages are one file each."""
+    for folder in mutant_sites.PACKAGES.values():
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "one.py").write_text(SOURCE)
+    return tmp_path
+
+
+def test_changes_are_of_code_alone(checkout):
+    changes = list(mutant_sites.mutants_of(checkout, "optics"))
+    assert [(change.old, change.new) for change in changes] == [
+        ("2", "3"), ("-", ""), ("1", "0"), ("is not", "is"), ("and", "or"), ("<", ">="), ("0.5", "0.55"), ("not", ""),
+        ("1", "0"), ("+", "-"), ("+", "-"), ("-", "+"), ("*", "/"), ("max", "min"), ("0", "1"),
+    ]  # fmt: skip
+    assert [change.names for change in changes] == [("SIZE",)] + 14 * [("nearest",)]
+    source = (checkout / "warpdiff/optics/one.py").read_bytes()
+    for change in changes:
+        ast.parse(change.apply(source))
+
+
+def test_a_draw_keeps_its_changes_where_lines_move_and_others_appear(checkout):
+    before = mutant_sites.draw(checkout, "seed")[:10]
+    for folder in mutant_sites.PACKAGES.values():
+        path = checkout / folder / "one.py"
+        path.rename(path.with_name("other.py"))
+        path.with_name("other.py").write_text("# moved\n" + SOURCE + "\n\nMORE = 1\n")
+    after = mutant_sites.draw(checkout, "seed")[:10]
+    assert len({change.identity for change in before} & {change.identity for change in after}) >= 8
+    assert [change.identity for change in before] != [c.identity for c in mutant_sites.draw(checkout, "else")[:10]]
+
+
+def test_each_header_has_two_faults():
+    changes = list(mutant_sites.header_mutants(ROOT))
+    headers = {path.name for path in (ROOT / mutant_sites.NATIVE).glob("*.h")}
+    assert Counter(change.names for change in changes) == dict.fromkeys([(header,) for header in headers], 2)
+
+
+def test_scores_count_time_limits_as_detected_and_headers_apart():
+    results = ["tests/optics/test_one.py::test_2", "timed out", "survived", "survived"]
+    record = {"package": "optics", "place": "warpdiff/optics/one.py:1", "changed": "SIZE = 3 | 1"}
+    header = record | {"package": "native", "result": "x"}
+    text = mutants.table([*(record | {"result": result} for result in results), header])
+    assert "| all | 4 | 2 | 50.0% | 15.0% to 85.0% |" in text
+    assert "| native | 1 | 1 | 100.0% |" in text
+    assert "| warpdiff/optics/one.py:1 | `SIZE = 3 \\| 1` |" in text
