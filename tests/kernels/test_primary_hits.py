@@ -416,7 +416,7 @@ def shadow_rays(
     occluded_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()
-    occluded_out[i] = wp.where(bvh.occluded(mesh_id, origins[i], direction, bvh.FAR), 1, 0)
+    occluded_out[i] = wp.where(wp.mesh_query_ray_anyhit(mesh_id, origins[i], direction, bvh.FAR), 1, 0)
 
 
 def shadowed(scene, origins, direction):
