@@ -9,7 +9,9 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
-from warpdiff.planner.plan_search import SEARCH_SAFETY
+from warpdiff.planner import bounds
+from warpdiff.planner.coordinate_search import SEARCH_SAFETY
+from warpdiff.planner.cost_model import NM_PER_UM
 from warpdiff.request.plan import LABELS
 from warpdiff.tables import coefficient_table, polar_grid
 
@@ -26,9 +28,8 @@ _MOST_NEIGHBOURS = 40_000
 # Side of the patch that a refusal recommends, in σ of its window. Derived: the averaged window's weight of products
 # exp(−r²/4σ²) is 1e-11 at half of it.
 _PATCH_IN_SIGMAS = 20.0
-# Largest numbers of wavelengths of a colour, and of these times the subdivisions for replicas. Limits: seconds per
-# direction, and the memory of a quadrature.
-_MOST_WAVELENGTHS, _MOST_SAMPLES = 65_536, 2_000_000
+# Largest number of wavelengths times subdivisions for replicas. Limit: the memory of a quadrature.
+_MOST_SAMPLES = 2_000_000
 # Excess of a call's range over its plan's, relative, that is no reason to warn. Limit: ranges of coefficients are
 # rounded up by more.
 _RANGE_MARGIN = 0.03
@@ -52,7 +53,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
     """Refuse a plan from bounds with more neighbours or wavelengths than are supported."""
     if plan.method != "direct" and plan.coherence.kind != "replicas":
         _check_neighbours(heightfield, plan)
-    if plan.wavelengths > _MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
+    if plan.wavelengths > bounds.MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
         coherence = plan.coherence
         what = {
             "source": ref("angular_diameter_deg", coherence.angular_diameter_deg),
@@ -61,7 +62,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
         }.get(coherence.kind, ref("sigma_um", coherence.sigma_um))
         raise ToleranceError(
             f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
-            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, "
+            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {bounds.MOST_WAVELENGTHS} are supported, "
             f"{_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger {ref('tolerance')}, or "
             "warpdiff.spectral_reflectance"
         )
@@ -88,7 +89,7 @@ def _longest_sigma_um(coherence: Coherence) -> float:
     """σ of a window [µm], of a source's at the longest wavelength."""
     if coherence.sigma_um is not None:
         return coherence.sigma_um
-    return LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
+    return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
 def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
@@ -154,8 +155,8 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
         return
     is_between = plan.coherence.centre_um is not None and plan.method != "direct"
     radius = coefficient_table.radius(plan) if is_between else 0.0
-    supported = max(0.0, direction_range.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
-    if direction_range.max_uv > supported * (1.0 + 1e-9):
+    supported = max(0.0, direction_range.lambda_min_nm / NM_PER_UM * (1.0 / (2.0 * pitch_um) - radius))
+    if direction_range.max_uv > supported and not math.isclose(direction_range.max_uv, supported):
         warn(
             f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at "
             f"{direction_range.lambda_min_nm:g} nm, but directions reach {direction_range.max_uv:.3g}: higher orders "
@@ -170,10 +171,10 @@ def warn_outside(plan: Plan, heightfield: HeightField, direction_range: Directio
         for name, value, planned in (
             ("|(u, v)| up to", direction_range.max_uv, plan.max_uv),
             ("|w| up to", direction_range.max_w, plan.max_w),
-            ("1/λ [1/µm] up to", 1e3 / direction_range.lambda_min_nm, 1e3 / plan.lambda_min_nm),
+            ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, NM_PER_UM / plan.lambda_min_nm),
             ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um),
         )
-        if value > planned * (1.0 + _RANGE_MARGIN) + 1e-9
+        if value - planned > _RANGE_MARGIN * max(planned, _RANGE_MARGIN)
     ]
     if beyond and plan.method != "direct":
         warn(
