@@ -62,9 +62,9 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
         }.get(coherence.kind, ref("sigma_um", coherence.sigma_um))
         raise ToleranceError(
             f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
-            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {bounds.MOST_WAVELENGTHS} are supported, "
-            f"{_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger {ref('tolerance')}, or "
-            "warpdiff.spectral_reflectance"
+            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {bounds.MOST_WAVELENGTHS} are "
+            f"supported, {_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger "
+            f"{ref('tolerance')}, or warpdiff.spectral_reflectance"
         )
 
 
