@@ -149,11 +149,10 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    affordable = _affordable_table_cost(request, upper, count)
+    result = _unmeasured(request, direction_range, sample)
+    affordable = _affordable_table_cost(request, result, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
         result = _measured(request, direction_range, sample, upper, affordable)
-    else:
-        result = _unmeasured(request, direction_range, sample)
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
         # The series that all bases are made from and judged by ends too soon.
         result = replace(result, terms=upper.terms, truncation=max(result.truncation, upper.truncation))
@@ -171,23 +170,23 @@ def _has_footprint_table(request: Evaluation) -> bool:
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
-def _affordable_table_cost(request: Evaluation, upper: Plan, count: float) -> float:
+def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> float:
     """Multiply-adds that making a table may cost: what it saves so many directions of a plan by bounds; 0 for no table.
 
     A table that is asked for, or that shows footprints, may cost any number.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
-    table_size = polar_grid.smallest_sufficient_size(upper)
+    table_size = polar_grid.smallest_sufficient_size(bounded)
     if (
         _method(request) != "auto"
         or not request.integrates
         or table_size is None
-        or not has_table(upper.method, upper.coherence)
+        or not has_table(AUTOMATIC, bounded.coherence)
     ):
         return 0.0
-    smallest = replace(upper, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
-    saved = _EXPECTED_REPEATS * count * upper.multiply_adds / _SAVINGS[upper.coherence.kind]
+    smallest = replace(bounded, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
+    saved = _EXPECTED_REPEATS * count * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 
 
