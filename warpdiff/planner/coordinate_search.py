@@ -65,11 +65,11 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         automatic: Whether the method may change.
     """
     target = plan.tolerance / SEARCH_SAFETY
-    plan = replace(plan, least_weight=trial.reference.least_weight)
+    plan = more_terms(replace(plan, least_weight=trial.reference.least_weight), trial, 0)
     plan, error = _sufficient(plan, trial, target, automatic=automatic)
     errors = dict.fromkeys(("truncation", "neighbourhood", "quadrature"), 0.0)
     errors["rounding"] = max(error, target * FLOOR)
-    coordinates = _coordinates(plan, trial, target)
+    coordinates = _coordinates(plan, trial, error, target)
     for coordinate in coordinates:
         plan, coarser_error = _coarsened(plan, error, trial, coordinate)
         errors[coordinate.source] += max(coarser_error - error, 0.0)
@@ -122,7 +122,7 @@ def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
     return replace(plan, terms=min(max(terms, min(LANES, most)), most))
 
 
-def _coordinates(plan: Plan, trial: Trial, target: float) -> list[Coordinate]:
+def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[Coordinate]:
     """The coordinates of a plan, in the order in which they are searched."""
 
     def neighbours(plan: Plan, steps: int) -> Plan:
@@ -131,6 +131,9 @@ def _coordinates(plan: Plan, trial: Trial, target: float) -> list[Coordinate]:
 
     def subdivisions(plan: Plan, steps: int) -> Plan:
         return replace(plan, subdivisions=math.ceil(plan.subdivisions * _octave_steps(-steps)))
+
+    def bandwidth(plan: Plan, steps: int) -> Plan:
+        return _with_bandwidth(plan, trial, _octave_steps(-steps), _octave_steps(-steps))
 
     def order_rate(plan: Plan, steps: int) -> Plan:
         return _with_bandwidth(plan, trial, _octave_steps(-steps), 1.0)
@@ -152,9 +155,10 @@ def _coordinates(plan: Plan, trial: Trial, target: float) -> list[Coordinate]:
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions, 2))
     if trial.integrates:
-        steps += [("quadrature", bright, octave_steps, order_rate, 2), ("quadrature", bright, octave_steps, rest, 2)]
+        # All parts of the bandwidth come first: a part alone would use up the budget where another one suffices.
+        steps += [("quadrature", bright, octave_steps, part, 2) for part in (bandwidth, order_rate, rest)]
     return [
-        Coordinate(source, share * target * number / len(steps), most, coarser, repair)
+        Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser, repair)
         for number, (source, share, most, coarser, repair) in enumerate(steps, 1)
     ]
 

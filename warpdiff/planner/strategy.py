@@ -185,7 +185,8 @@ def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> 
         or not has_table(AUTOMATIC, bounded.coherence)
     ):
         return 0.0
-    smallest = replace(bounded, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
+    rings, azimuths_per_width = table_size
+    smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)
     saved = _EXPECTED_REPEATS * count * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 
