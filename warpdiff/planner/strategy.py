@@ -40,14 +40,11 @@ if TYPE_CHECKING:
 
 __all__ = ["directions_of", "plan", "plan_for", "warn_outside"]
 
-# Cost of bounds over the cost of the plan that a search finds, by kind of coherence. Fitted: medians of random calls
+# Cost of bounds over the cost of the plan that a search finds, by kind of coherence. Fitted: medians of 32 random calls
 # (docs/decisions/plans_and_tolerance.md).
-_SAVINGS = {"averaged": 1.2, "centred": 2.0, "source": 1.2, "replicas": 4.0}
-# Number of directions that bounds compute in the time of a search. Fitted: the same calls.
-_SEARCH_DIRECTIONS = 6000
-# Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
-# with another light or view.
-_EXPECTED_REPEATS = 3
+_SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
+# Number of directions that a plan from a search computes in the time of the search. Fitted: the same calls.
+_SEARCH_DIRECTIONS = 16_000
 # Number of directions that represent the whole hemisphere. Limit: a sample has no more.
 _HEMISPHERE_DIRECTIONS = 8192
 
@@ -187,7 +184,8 @@ def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> 
         return 0.0
     rings, azimuths_per_width = table_size
     smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)
-    saved = _EXPECTED_REPEATS * count * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
+    # A picture that is worth a table is rendered at least twice, with another light or view.
+    saved = 2.0 * count * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 
 
@@ -199,7 +197,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial finds.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
         return True
-    return count * (1.0 - 1.0 / _SAVINGS[upper.coherence.kind]) >= _SEARCH_DIRECTIONS
+    return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample) -> Plan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -41,36 +42,40 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     predicted = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
-    size: int | None = next((k for k, error in enumerate(predicted) if error <= target), len(sizes) // 2)
-    best, least, w_basis_size = None, float("inf"), 0
+    size = next((k for k, error in enumerate(predicted) if error <= target), None)
+    if size is None and (needed or footprint):
+        size = len(sizes) // 2
+    best, least, w_basis_size = None, math.inf, 0
+    sampled_error: float | None = None
     while size is not None:
         rings, azimuths_per_width = sizes[size]
-        candidate = replace(
-            plan, rings_per_octave=rings, azimuths_per_width=azimuths_per_width, w_basis_size=w_basis_size
+        candidate = trial.with_w_basis(
+            replace(plan, rings_per_octave=rings, azimuths_per_width=azimuths_per_width, w_basis_size=w_basis_size)
         )
-        candidate = trial.with_w_basis(candidate)
         table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
         if polar_grid.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             break
         if best is None:
             trial.update_floors(candidate)
         error = trial.validation_error(candidate)
-        if error > target and not w_basis_size:
+        if target < error <= 2.0 * plan.tolerance and not w_basis_size:
             # More functions of w may help where more rings do not.
-            richer = trial.with_w_basis(candidate, W_BASIS_STEP)
-            richer_error = trial.validation_error(richer)
             w_basis_size = candidate.w_basis_size
-            if richer_error < error / 2.0:
+            richer = trial.with_w_basis(candidate, W_BASIS_STEP)
+            if (richer_error := trial.validation_error(richer)) < error / 2.0:
                 candidate, error, w_basis_size = richer, richer_error, richer.w_basis_size
         if error < least:
             best, least = _measured(candidate, trial, error, truncation, table_cost, footprint=footprint), error
         if error <= target:
             break
         longer = more_terms(plan, trial, 1)
-        if longer.terms > plan.terms and (truncation := trial.validation_error(plan)) > target / 2.0:
-            plan = longer
-        else:
-            size = _next_size(sizes, size, error / target, candidate if needed else None)
+        if sampled_error is None and longer.terms > plan.terms:
+            # The terms were chosen by residuals of the basis, which the first failure checks.
+            sampled_error = trial.validation_error(plan)
+            if sampled_error > target / 2.0:
+                plan, truncation = longer, sampled_error
+                continue
+        size = _next_size(sizes, size, error / target, candidate if needed else None)
     return best if needed or footprint or least <= target else None
 
 
@@ -86,20 +91,22 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 
 
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, needed: Plan | None) -> int | None:
-    """The first larger size whose error fits if the present one's exceeds the target by a factor.
+    """The next size if the present one's error exceeds the target by a factor, or None where no size will do.
 
-    Where none does, the largest that fits into memory, for a plan that needs a table.
+    It is the first whose error fits by the order of convergence, but has at most twice the rings: small tables do not
+    converge by it yet. Where none fits, it is the largest that fits into memory, for a plan that needs a table.
     """
     rings = sizes[size][0]
-    for larger in range(size + 1, len(sizes)):
-        if excess * (rings / sizes[larger][0]) ** polar_grid.ERROR_ORDER <= 1.0:
-            return larger
+    larger = range(size + 1, len(sizes))
+    for k in larger:
+        if excess * (rings / sizes[k][0]) ** polar_grid.ERROR_ORDER <= 1.0:
+            return min(k, max(j for j in range(size, len(sizes)) if sizes[j][0] <= 2 * rings))
     if needed is None:
         return None
     fitting = [
-        larger
-        for larger in range(size + 1, len(sizes))
-        if polar_grid.megabytes(replace(needed, rings_per_octave=sizes[larger][0], azimuths_per_width=sizes[larger][1]))
+        k
+        for k in larger
+        if polar_grid.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
         <= polar_grid.MOST_MEGABYTES
     ]
     return fitting[-1] if fitting else None
