@@ -184,8 +184,9 @@ def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> 
         return 0.0
     rings, azimuths_per_width = table_size
     smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)
-    # A picture that is worth a table is rendered at least twice, with another light or view.
-    saved = 2.0 * count * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
+    # A call that is worth a table is made at least twice, with another light or view, and the search takes its time.
+    directions = 2.0 * count - _SEARCH_DIRECTIONS
+    saved = directions * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 
 
