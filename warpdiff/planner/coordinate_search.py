@@ -81,7 +81,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     # Each source has its share of the predicted error.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
-        plan, **{source: share * part for source, part in errors.items()}, is_measured=True,
+        plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
+        quadrature=share * errors["quadrature"], rounding=share * errors["rounding"], is_measured=True,
         multiply_adds=cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates),
         validation_size=len(trial.validation_set),
     )  # fmt: skip
