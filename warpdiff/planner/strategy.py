@@ -45,6 +45,9 @@ __all__ = ["directions_of", "plan", "plan_for", "warn_outside"]
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
 # Number of directions that a plan from a search computes in the time of the search. Fitted: the same calls.
 _SEARCH_DIRECTIONS = 16_000
+# Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
+# with another light or view.
+_EXPECTED_REPEATS = 3
 # Number of directions that represent the whole hemisphere. Limit: a sample has no more.
 _HEMISPHERE_DIRECTIONS = 8192
 
@@ -184,8 +187,7 @@ def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> 
         return 0.0
     rings, azimuths_per_width = table_size
     smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)
-    # A call that is worth a table is made at least twice, with another light or view, and the search takes its time.
-    directions = 2.0 * count - _SEARCH_DIRECTIONS
+    directions = _EXPECTED_REPEATS * count - _SEARCH_DIRECTIONS
     saved = directions * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 

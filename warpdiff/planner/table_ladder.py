@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.planner import cost_model
-from warpdiff.planner.coordinate_search import MIN_BRIGHT, SEARCH_SAFETY, more_terms, predicted_error
+from warpdiff.planner.coordinate_search import MIN_BRIGHT, SEARCH_SAFETY, predicted_error
 from warpdiff.request.plan import W_BASIS_STEP
 from warpdiff.tables import polar_grid
 from warpdiff.tables.coefficient_table import LANES
@@ -42,7 +42,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     predicted = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
-    size = next((k for k, error in enumerate(predicted) if error <= target), None)
+    size = next((k for k, error in enumerate(predicted) if error <= plan.tolerance / 2.0), None)
     if size is None and (needed or footprint):
         size = len(sizes) // 2
     best, least, w_basis_size = None, math.inf, 0
@@ -68,12 +68,12 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             best, least = _measured(candidate, trial, error, truncation, table_cost, footprint=footprint), error
         if error <= target:
             break
-        longer = more_terms(plan, trial, 1)
-        if sampled_error is None and longer.terms > plan.terms:
+        more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
+        if sampled_error is None and more_terms > plan.terms:
             # The terms were chosen by residuals of the basis, which the first failure checks.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
-                plan, truncation = longer, sampled_error
+                plan, truncation = replace(plan, terms=more_terms), sampled_error
                 continue
         size = _next_size(sizes, size, error / target, candidate if needed else None)
     return best if needed or footprint or least <= target else None

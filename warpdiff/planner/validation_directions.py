@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 # Number of candidates in addition to the edge cases, and number of training directions. Fitted: half as many miss the
 # tolerance in more than one call of a hundred; twice as many cost twice the planning time.
 _CANDIDATES, _TRAINING = 1024, 128
-# Number of validation directions per training direction. Limit: they guarantee the result, a search only guesses it.
-_VALIDATION_PER_TRAINING = 2
 # Number of edge cases of each kind, and of strong orders, each of which is a kind. Limit: all of them together are at
 # most a third of the candidates.
 _EDGE_CASES = 16
@@ -51,7 +49,7 @@ def candidates(
         threads: Threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
-    if len(sample) > (1 + _VALIDATION_PER_TRAINING) * _TRAINING:
+    if len(sample) > _TRAINING + _validation_size():
         edge_cases = _edge_cases(heightfield, direction_range, sample, plan, threads=threads)
     others = np.setdiff1d(np.arange(len(sample)), edge_cases)
     uniform = others[stratified(len(others), _CANDIDATES)]
@@ -77,20 +75,23 @@ def sampled(
     measure = weights / weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(int(is_edge_case.sum()), 1)
     measure = measure + bright / max(float(bright.sum()), TINY)
     order = np.argsort(luminance, kind="stable")
-    parts = 1 + _VALIDATION_PER_TRAINING
     if len(order) <= _TRAINING:
         return candidates, candidates
-    if len(order) <= parts * _TRAINING:
+    both = _TRAINING + _validation_size()
+    if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
     # Both sets get their share of few bright directions: each run in the order of brightness is divided among them.
-    is_training = np.arange(len(order)) % parts == 0
+    is_training = np.arange(len(order)) % (both // _TRAINING) == 0
+    training, validation = order[is_training], order[~is_training]
     return (
-        _draw(candidates, order[is_training], measure, _TRAINING, parts),
-        _draw(
-            candidates, order[~is_training], measure, _VALIDATION_PER_TRAINING * _TRAINING,
-            parts / _VALIDATION_PER_TRAINING,
-        ),
-    )  # fmt: skip
+        _draw(candidates, training, measure, _TRAINING, len(order) / len(training)),
+        _draw(candidates, validation, measure, _validation_size(), len(order) / len(validation)),
+    )
+
+
+def _validation_size() -> int:
+    """Number of validation directions: more than for training, as they judge the result."""
+    return 2 * _TRAINING
 
 
 def _draw(
