@@ -51,8 +51,8 @@ _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # Fitted: 99th percentile of the errors with the samples above. It is reported only.
 _TYPICAL_SHARE = 0.05
 # Samples of a replicated patch's power per order that passes, at a tolerance of 1. Fitted: random patches of fingers
-# under D65 to HP1, 24 at 1e-2. Half of it has 16 times the error.
-_SAMPLES_PER_ORDER = 7.59
+# under D65 to HP1, 25 at 1e-2. Half of it has 16 times the error.
+_SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths of a colour. Limit: seconds per direction.
 MOST_WAVELENGTHS = 65_536
 # Largest number of wavelengths for a source at the horizon. Limit: a source is foreshortened without end there; 16,384
