@@ -102,11 +102,13 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
     for _ in range(_REPAIRS):
         if error <= target:
             break
-        repaired = [coordinate.coarser(plan, -coordinate.repair) for coordinate in coordinates]
-        least, best = min(((trial.validation_error(finer), finer) for finer in repaired), key=lambda pair: pair[0])
-        if least >= error:
+        least, best = error, plan
+        for coordinate in coordinates:
+            finer = coordinate.coarser(plan, -coordinate.repair)
+            if finer != plan and (finer_error := trial.validation_error(finer)) < least:
+                least, best = finer_error, finer
+        if best == plan:
             # No coordinate helps alone, but all of them may.
-            best = plan
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -coordinate.repair)
             least = trial.validation_error(best)
