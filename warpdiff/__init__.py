@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period
     from warpdiff.image.image import Image
+    from warpdiff.image.report import Report
     from warpdiff.lights.directional import DirectionalLight
     from warpdiff.lights.environment import Environment
     from warpdiff.lights.point import PointLight
@@ -54,8 +55,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "DirectionalLight", "Environment", "HeightField", "Image", "Material",
-    "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Shot", "Spectrum", "ToleranceError", "View",
-    "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "export_html", "gratings", "light_sweep",
+    "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Report", "Shot", "Spectrum", "ToleranceError",
+    "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "export_html", "gratings", "light_sweep",
     "meshes", "order_efficiencies", "plan", "reflectance", "reflectance_map", "register_mitsuba_bsdf", "sequence",
     "shade", "spectral_reflectance", "turntable",
 ]  # fmt: skip
@@ -67,6 +68,7 @@ _MODULES = {
     "core.wording": ("ToleranceError", "WarpdiffWarning"),
     "evaluate.reflectance": ("brdf", "reflectance_map", "reflectance", "spectral_reflectance"),
     "heightfield.field": ("HeightField",), "heightfield.periods": ("Period",), "image.image": ("Image",),
+    "image.report": ("Report",),
     "lights.environment": ("Environment",), "lights.directional": ("DirectionalLight",),
     "lights.point": ("PointLight",), "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planner.strategy": ("plan",), "request.plan": ("Plan",), "render.shade": ("shade",),

@@ -2,8 +2,8 @@
 
 ::
 
-    python -m bench.dev.baseline --folder /tmp/baseline
-    python -m bench.dev.baseline --folder /tmp/head --commit HEAD --versions-of /tmp/baseline
+    python -m bench.dev.baseline --folder baseline
+    python -m bench.dev.baseline --folder head --commit HEAD --versions-of baseline
 
 The files of the commit are exported to a temporary folder, so that nothing of the working tree enters the wheel. The
 script prints the environment's Python. ``--versions-of`` installs the versions of the libraries that another

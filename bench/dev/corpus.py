@@ -141,13 +141,20 @@ def coated_metal() -> Any:
 
 
 def image_values(image: Any) -> Values:
-    """Arrays and layers of a picture, and the numbers of its plan."""
-    return {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {}) | plan_values(image.plan)
+    """Arrays and layers of a picture, and the numbers of its plan and of its report."""
+    return map_values(image) | plan_values(image.plan, getattr(image, "report", None))
 
 
-def plan_values(plan: Any) -> Values:
-    """The numbers of a plan."""
-    return {f"plan.{name}": str(value) if value is None else value for name, value in plan_numbers(plan).items()}
+def map_values(image: Any) -> Values:
+    """Arrays of a picture or a map, and the numbers of its plan."""
+    arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
+    return arrays | plan_values(image.plan)
+
+
+def plan_values(plan: Any, report: Any = None) -> Values:
+    """The numbers of a plan and of a picture's report."""
+    numbers = plan_numbers(plan, report)
+    return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 
 
 def named(prefix: str, values: Values) -> Values:
@@ -329,7 +336,7 @@ def normalised_energy(threads: int) -> Values:
         "brdf": wd.brdf(surface, lights, views, WAVELENGTHS_NM, ior=float("inf"), **options),
         "brdf of a metal": wd.brdf(surface, lights, views, WAVELENGTHS_NM, material=metal, **options),
         "xyz": wd.reflectance(surface, lights, views, material=metal, **options),
-        **named("map", image_values(wd.reflectance_map(surface, (0.3, 0.2, 1.0), size=24, **options))),
+        **named("map", map_values(wd.reflectance_map(surface, (0.3, 0.2, 1.0), size=24, **options))),
     }
 
 
@@ -385,7 +392,7 @@ def maps(threads: int) -> Values:
         )
         for samples in (1, 4)
     )
-    return image_values(one) | named("four", image_values(four))
+    return map_values(one) | named("four", map_values(four))
 
 
 def material_colours(threads: int) -> Values:

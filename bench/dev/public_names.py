@@ -49,6 +49,11 @@ PLAN_FIELDS = {
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
+# Numbers of a picture's report, with those of a plan without a picture; they were fields of the plan until version 0.2.
+REPORT_FIELDS = {
+    "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
+    "errors": (0.0, 0.0),
+}  # fmt: skip
 
 
 def is_baseline(package: ModuleType) -> bool:
@@ -56,9 +61,11 @@ def is_baseline(package: ModuleType) -> bool:
     return bool(package.__version__ == BASELINE)
 
 
-def plan_numbers(plan: Any) -> dict[str, Any]:
-    """Fields of a plan and of its coherence, by their new names."""
+def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
+    """Fields of a plan, of its coherence and of a picture's report, by their new names."""
     fields = dataclasses.asdict(plan)
+    if not is_baseline(wd):
+        fields |= {name: getattr(report, name, value) for name, value in REPORT_FIELDS.items()}
     coherence = fields.pop("coherence")
     if is_baseline(wd):
         fields = {PLAN_FIELDS.get(name, name): value for name, value in fields.items()}

@@ -2,9 +2,9 @@
 
 ::
 
-    python -m bench.dev.baseline --folder /tmp/before
-    python -m bench.dev.baseline --folder /tmp/after --commit HEAD --versions-of /tmp/before
-    python -m bench.dev.wheel_times --before /tmp/before/bin/python --after /tmp/after/bin/python --output times.json
+    python -m bench.dev.baseline --folder before
+    python -m bench.dev.baseline --folder after --commit HEAD --versions-of before
+    python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
 A round starts a new process for either wheel. For every row the two processes take turns, call by call, in alternating
 order; a round's ratio is the median over pairs of neighbouring calls of the same work. Rows that start processes of

@@ -18,8 +18,8 @@ from bench.truth import brute_force
 from warpdiff.device.devices import resolve_device
 from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels import bvh, compile_options
-from warpdiff.render.picture import Picture
 from warpdiff.scene import device_mesh
+from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -151,16 +151,17 @@ def _warp_query(rays: Rays) -> Caster:
 
 
 def _faces(rays: Rays) -> Caster:
-    frame = Picture(rays.surface, rays.view, device=resolve_device(None), threads=1)
+    camera_rays = rays_for(rays.surface, rays.view, device=resolve_device(None), threads=1)
+    pixels = camera_rays.gbuffer.pixels
 
     def trace(threads: int) -> None:
-        frame.rays.options["threads"] = threads
-        frame.trace(0)
+        camera_rays.options["threads"] = threads
+        camera_rays.launch(camera_rays.trace(0, 1))
 
     def hits() -> Hits:
-        hit = frame.gbuffer.pixels.hit.numpy() == 1
+        hit = pixels.hit.numpy() == 1
         # Where nothing is met, normals are whatever was there.
-        return Hits(hit, np.where(hit[:, None], frame.gbuffer.pixels.normal.numpy(), 0.0).astype(np.float64))
+        return Hits(hit, np.where(hit[:, None], pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster(trace, hits)
 

@@ -232,7 +232,9 @@ def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, toler
         for tolerance in tolerances:
             image, warns = pictured(area, view, tolerance)
             warned.append(warns)
-            shares = f"{100.0 * image.plan.unconverged_share:.2f} % | {100.0 * image.plan.unconverged_edge_share:.2f} %"
+            shares = (
+                f"{100.0 * image.report.unconverged_share:.2f} % | {100.0 * image.report.unconverged_edge_share:.2f} %"
+            )
             print(f"| {area.name} | {tolerance:g} | {shares} | {warns:d} |", flush=True)
     print(f"\n{sum(warned)} of {len(warned)} whole pictures warn; seed {seed}.")
 

@@ -162,7 +162,7 @@ def _judge(
         wrong = errors > tolerance
         reported = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
         print(
-            f"| {name} | {len(exact)} | {tolerance:g}, {image.plan.light_sample_count:,} | {percentiles(errors)} | "
+            f"| {name} | {len(exact)} | {tolerance:g}, {image.report.light_sample_count:,} | {percentiles(errors)} | "
             f"{percentiles(expected, ' / ')} | {reported} | {took:.1f} s |", flush=True,
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ import warpdiff as wd
 from bench import inputs
 from warpdiff import meshes
 from warpdiff.device.devices import resolve_device, resolve_threads
-from warpdiff.lights.base import lobes_of
+from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics import reflectance_factors
 from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface
@@ -83,10 +83,11 @@ def directions(
     mesh: Any, light: wd.DirectionalLight, view: wd.View, heightfield: wd.HeightField, coherence: wd.Coherence
 ) -> tuple[Directions, np.ndarray]:
     """Return the directions of the illuminated pixels of a picture, and the indices of these pixels (n,)."""
-    frame = Picture(prepare_surface(mesh), view, device=resolve_device(None), threads=resolve_threads(None))
-    frame.set_lights(lobes_of(light), coherence, 1.0, normal=reflectance_factors.normal_reflectance(IOR))
-    frame.measure_directions(heightfield, coherence)
-    scattering_vectors, to_lights, gains = frame.directions()
+    optics = SurfaceOptics(coherence, 1.0, reflectance_factors.normal_reflectance(IOR))
+    picture = Picture(prepare_surface(mesh), view, optics, device=resolve_device(None), threads=resolve_threads(None))
+    picture.set_lights(light.parts(coherence, tolerance=1e-1, single_lobe=True, name="light"))
+    picture.measure_directions(heightfield)
+    scattering_vectors, to_lights, gains = picture.sampler.directions()
     illuminated = np.flatnonzero(gains > 0.0)
     return Directions(
         np.float64(to_lights[illuminated]), scattering_vectors[illuminated], np.float64(gains[illuminated])

@@ -20,7 +20,7 @@ import warpdiff as wd
 from warpdiff.device.devices import resolve_device
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
-from warpdiff.render.picture import Picture
+from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -40,9 +40,9 @@ class SkySums:
     def __init__(self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
         """Trace the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
-        frame = Picture(prepare_surface(mesh), fine, smooth=True, device=resolve_device(None), threads=1)
-        frame.trace(0)
-        pixels, shape = frame.gbuffer.pixels, (fine.height, fine.width)
+        rays = rays_for(prepare_surface(mesh), fine, device=resolve_device(None), threads=1)
+        rays.launch(rays.trace(0, 1))
+        pixels, shape = rays.gbuffer.pixels, (fine.height, fine.width)
         self._hit = pixels.hit.numpy().reshape(shape) != 0
         axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
         self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)

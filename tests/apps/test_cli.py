@@ -12,7 +12,7 @@ from conftest import slow, write_image
 
 import warpdiff as wd
 from warpdiff import gratings
-from warpdiff.apps import cli, demo
+from warpdiff.apps import cli, cli_inputs, demo
 from warpdiff.apps.cli_options import given
 from warpdiff.core import disk_cache
 from warpdiff.core.options import describe
@@ -123,7 +123,8 @@ def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path
 
 
 @pytest.mark.parametrize(
-    "name", [slow(name) if name == "fingers" else name for name in cli.GRATINGS if name not in ("dvd", "blu-ray", "cd")]
+    "name",
+    [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
     # Of a window that takes seconds less to plan for.

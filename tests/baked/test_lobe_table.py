@@ -10,8 +10,7 @@ from scipy.special import jv
 
 import warpdiff as wd
 from bench.truth import reference
-from warpdiff.baked import quantisation
-from warpdiff.baked.interpolation import PolarGrid
+from warpdiff.baked import interpolation, quantisation
 from warpdiff.optics import colorimetry, reflectance_factors
 
 WINDOW, WIDE = wd.Coherence(sigma_um=3.0), wd.Coherence(sigma_um=1.5)
@@ -227,7 +226,7 @@ def test_bytes_err_by_half_a_step_of_their_own_largest():
 def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
     """A lobe of one wavelength is as narrow along its ray as across; colours smear it along, by a tenth of |(u, v)|."""
     width = 0.02
-    grid = PolarGrid.for_lobes(width, 16, 1.0)
+    grid = interpolation.grid_for(width, 16, 1.0)
     angles, radii = np.array([0.3, 2.0, 4.4]), np.array([1.1, 0.5, 1.7])
 
     def lobes_at(uv):
@@ -236,9 +235,9 @@ def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
         size = np.hypot(*uv.T)[:, None]
         return np.exp(-0.5 * (away * size / width) ** 2 - 0.5 * (np.log(size / radii) / 0.1) ** 2).astype(np.float32)
 
-    coefficients = grid.coefficients(lobes_at(grid.places()))
+    coefficients = interpolation.spline_coefficients(grid, lobes_at(grid.places()))
     uv = np.random.default_rng(1).uniform(-1.4, 1.4, (20_000, 2))
-    assert np.abs(grid.interpolated(coefficients, uv) - lobes_at(uv)).max() < 0.02
+    assert np.abs(interpolation.interpolated(grid, coefficients, uv) - lobes_at(uv)).max() < 0.02
 
 
 def test_what_cannot_be_baked_is_refused():

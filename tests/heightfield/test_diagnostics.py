@@ -10,7 +10,7 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.apps.cli import GRATINGS
+from warpdiff.apps.cli_inputs import GRATINGS
 from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound, scalar_error_text
 
 RIGOROUS = Path(__file__).resolve().parents[2] / "bench" / "suite" / "rigorous.json"

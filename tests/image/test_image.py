@@ -90,7 +90,7 @@ def test_metadata(image, suffix, tmp_path):
     spec, _ = read(image.save(tmp_path / f"a.{suffix}", exposure=2.5))
     # OpenImageIO adds its own name after ours in some formats.
     assert spec.getattribute("Software").startswith("warpdiff")
-    assert spec.getattribute("ImageDescription") == str(image.plan)
+    assert spec.getattribute("ImageDescription") == f"{image.plan}\n\n{image.report}"
     if suffix == "exr":
         assert spec.getattribute("warpdiff:exposure") == 2.5
 

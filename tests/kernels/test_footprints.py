@@ -12,12 +12,14 @@ from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.base import lobes_of
+from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.render.accumulators import Accumulators
 from warpdiff.render.picture import Picture
+from warpdiff.render.pixel_sampler import LobeIndex
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables import colour_table
-from warpdiff.tables.footprint_weights import footprint_taps
+from warpdiff.tables.footprint_weights import LINE_TAPS, SPECTRUM_TAPS, footprint_taps
 from warpdiff.tables.lookup import ColourLookup
 
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -220,11 +222,15 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
         "far": wd.View((500.0, 1600.0, 3100.0), (0.0, 0.0, 0.0), fov_y_deg=0.03, **size),
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
-    frame = Picture(surface, camera, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
-    frame.set_lights(lobes_of(LIGHT), SHORT, 1.0, normal=0.04, shadows=False)
-    frame.scatter(0, 0)
-    rays, pixels, result = frame.rays, frame.gbuffer.pixels, frame.gbuffer.footprints
-    launch_pipeline([rays.footprints(frame.gbuffer, deviation)], 48 * 36, **rays.options)
+    optics = SurfaceOptics(SHORT, 1.0, 0.04, shadows=False)
+    picture = Picture(surface, camera, optics, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
+    (part,) = LIGHT.parts(SHORT, tolerance=1e-1, single_lobe=True, name="light")
+    picture.set_lights([part])
+    sums = Accumulators.allocate(48 * 36, means=True, device=wp.get_device("cpu"))
+    picture.sampler.scatter(0, LobeIndex(0, 0), sums)
+    batch = picture.sampler.batch(sums, deviation=deviation)
+    picture.rays.launch([part.make_pass(picture.context).filter_footprints(batch)])
+    pixels, result = batch.gbuffer.pixels, batch.samples.footprints
     hit = np.flatnonzero(pixels.hit.numpy())
     face, step = pixels.face.numpy()[hit], 1e-3
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
@@ -247,14 +253,14 @@ def test_nodes_are_skipped_under_smooth_lights_alone():
 
 
 @pytest.mark.parametrize(
-    ("is_line_spectrum", "own", "worst"), [(False, 1.1, 0.03), (False, 1.8, 0.015), (True, 0.8, 0.05)]
+    ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
-def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
+def test_few_rays_blur_a_line(rule, own, worst):
     """A Gaussian anywhere between rays, as a spline through its values on them, blurred by few of the coefficients.
 
     Of a source's lines that spline itself is 3 % of their peak off.
     """
-    made = footprint_taps("cpu", is_line_spectrum=is_line_spectrum)
+    made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
     variances = np.arange(len(weights)) / made.per_variance
     np.testing.assert_allclose(weights.sum(axis=2), 1.0, atol=1e-6)
@@ -265,7 +271,7 @@ def test_few_rays_blur_a_line(is_line_spectrum, own, worst):
         for which in range(0, weights.shape[1], 9):
             fraction = (which + 0.5) / weights.shape[1] - 0.5
             places = np.arange(count) - (count - 1) / 2.0 - fraction
-            if not is_line_spectrum:
+            if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
             # The rays' numbers, so that the middle ones are those that count.

@@ -14,8 +14,7 @@ from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
-from warpdiff.render import camera_rays
-from warpdiff.scene import occluder_grid
+from warpdiff.scene import camera_rays, occluder_grid
 from warpdiff.scene.device_mesh import SceneArrays
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -225,7 +224,7 @@ def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
-    monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grid", camera_rays.PixelRays.shadow_grid)
+    monkeypatch.setattr(camera_rays.RasterizedRays, "shadow_grid", camera_rays.CameraRays.shadow_grid)
     expected = wd.shade(mesh, heightfield, lights, view, **options)
     assert len(made) == grid_count
     np.testing.assert_array_equal(result.xyz, expected.xyz)

@@ -10,12 +10,12 @@ from conftest import slow, write_image
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
-from warpdiff.lights.environment import lobes_of_sky
+from warpdiff.lights import sky_pass
+from warpdiff.lights.sky_cells import cells, tree
 from warpdiff.lights.sky_maps import blurred_grids, extract_suns, maps_of
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
 from warpdiff.render import picture
-from warpdiff.tables.sky_cells import cells, tree
 
 WINDOW = wd.Coherence(sigma_um=8.0)
 UNDER = {"coherence": WINDOW, "tolerance": 1e-1, "ior": math.inf, "refine": False, "pigment": 0.0}
@@ -251,13 +251,12 @@ def test_the_tolerance_says_how_many_directions_stand_for_a_sky(square):
     sky, flat = wd.Environment(0.5 + 0.5 * middles(16)[0]), wd.HeightField(np.zeros((8, 8)), 0.09)
     options = UNDER | {"refine": False}
     counts = [
-        wd.shade(square, flat, sky, seen_at(20.0), **options | {"tolerance": each}).plan.light_sample_count
+        wd.shade(square, flat, sky, seen_at(20.0), **options | {"tolerance": each}).report.light_sample_count
         for each in (0.5, 0.25)
     ]
     assert counts == [1640, 3280]
     picture = wd.shade(square, flat, wd.Environment(sky.radiance_rgb, directions=20), seen_at(20.0), **UNDER)
-    assert picture.plan.light_sample_count == 20
-    assert "20 directions represent the lights" in str(picture.plan)
+    assert picture.report.light_sample_count == 20
 
 
 def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
@@ -311,6 +310,7 @@ def test_a_tree_of_cells_holds_their_areas_and_middles():
         assert (below[:, 1] <= spans[node, 1]).all()
 
 
+@pytest.mark.slow
 def test_a_window_on_a_tube_is_that_of_sums_over_directions():
     # Footprints are streaks here, and the horizon cuts orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
@@ -347,7 +347,7 @@ def test_a_bright_even_sky_has_no_sun_beside_its_own():
 
 def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_same_launches(square, monkeypatch):
     uploads, keys = [], []
-    upload, set_lights = picture.upload_sky, picture.Picture.set_lights
+    upload, set_lights = sky_pass.upload_maps, picture.Picture.set_lights
 
     def counted(*args):
         uploads.append(args)
@@ -355,9 +355,9 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_
 
     def followed(self, *args, **options):
         set_lights(self, *args, **options)
-        keys.append(self.launches_depend_on)
+        keys.append(self.graph_key)
 
-    monkeypatch.setattr(picture, "upload_sky", counted)
+    monkeypatch.setattr(sky_pass, "upload_maps", counted)
     monkeypatch.setattr(picture.Picture, "set_lights", followed)
     flat, lights = wd.HeightField(np.zeros((8, 8)), 0.09), [wd.Environment(np.ones((4, 8, 3)), directions=16)]
     renderer = wd.Renderer(square, flat, lights, seen_at(20.0), **UNDER)
@@ -375,18 +375,23 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_
     assert keys[-1] != keys[0]
 
 
-def test_an_environment_keeps_few_lobes_and_its_copies_none():
+def test_an_environment_keeps_few_parts_and_its_copies_none():
     sky = wd.Environment(0.5 + 0.5 * middles(16)[0], directions=16)
-    lobes = lobes_of_sky(sky, 8.0, 1e-1)
-    assert lobes_of_sky(sky, 8.0, 1e-2) is lobes
-    others = [lobes_of_sky(sky, sigma_um, 1e-1) for sigma_um in (4.0, 5.0, 6.0, 7.0)]
-    assert len({id(each[0].sky) for each in others} | {id(lobes[0].sky)}) == 5
-    assert lobes_of_sky(sky, 7.0, 1e-1) is others[-1]
-    again = lobes_of_sky(sky, 8.0, 1e-1)
-    assert again is not lobes
-    np.testing.assert_array_equal(again[0].sky.texels, lobes[0].sky.texels)
+
+    def parts(environment, sigma_um, tolerance=1e-1):
+        coherence = wd.Coherence(sigma_um=sigma_um)
+        return environment.parts(coherence, tolerance=tolerance, single_lobe=False, name="lights[0]")
+
+    first = parts(sky, 8.0)
+    assert parts(sky, 8.0, 1e-2) is first
+    others = [parts(sky, sigma_um) for sigma_um in (4.0, 5.0, 6.0, 7.0)]
+    assert len({id(each[0].maps) for each in others} | {id(first[0].maps)}) == 5
+    assert parts(sky, 7.0) is others[-1]
+    again = parts(sky, 8.0)
+    assert again is not first
+    np.testing.assert_array_equal(again[0].maps.texels, first[0].maps.texels)
     copied = copy.copy(sky)
-    assert "_lobes" not in vars(copied)
-    np.testing.assert_array_equal(lobes_of_sky(copied, 8.0, 1e-1)[0].sky.texels, lobes[0].sky.texels)
+    assert "_parts" not in vars(copied)
+    np.testing.assert_array_equal(parts(copied, 8.0)[0].maps.texels, first[0].maps.texels)
     assert repr(copied) == "Environment(16 × 32 pixels, rotation_deg=0, scale=1, directions=16)"
     assert copied != sky

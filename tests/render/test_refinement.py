@@ -14,6 +14,7 @@ from trimesh.visual import TextureVisuals
 import warpdiff as wd
 from bench.truth.pictures import finer
 from warpdiff import meshes
+from warpdiff.image.report import Report
 from warpdiff.kernels import refinement_levels
 from warpdiff.kernels import subdivision as kernels
 from warpdiff.render import pixel_filter, threaded_tiles
@@ -95,8 +96,8 @@ def test_pictures_keep_their_tolerance(truth, fingers, table):
         assert len(found) > 100
         assert np.percentile(found, 99.0) < tolerance
         assert np.median(found) < 0.25 * tolerance
-        assert 0.0 < image.plan.refined_share <= 1.5
-        assert "of the pixels were subdivided" in str(image.plan)
+        assert 0.0 < image.report.refined_share <= 1.5
+        assert f"meets its tolerance of {tolerance:g}" in str(image.report).splitlines()[0]
 
 
 def test_errors_are_told(truth, fingers, table):
@@ -107,7 +108,7 @@ def test_errors_are_told(truth, fingers, table):
         plan = dataclasses.replace(table, tolerance=tolerance)
         image = wd.shade(mesh, fingers, LIGHT, camera, plan=plan, refine=refine)
         assert not image.error[~image.illuminated].any()
-        assert image.plan.errors[0] < image.plan.errors[1]
+        assert image.report.errors[0] < image.report.errors[1]
         found.append(errors(image, exact))
         told.append(image.error[exact[2]])
     found, told = np.concatenate(found), np.concatenate(told)
@@ -195,8 +196,8 @@ def test_what_cells_do_not_settle_is_warned_of(fingers, table):
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
         image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
-    assert image.plan.unconverged_share > 0.01
-    assert "are expected to exceed the tolerance" in str(image.plan)
+    assert image.report.unconverged_share > 0.01
+    assert "does not meet its tolerance of 0.001 everywhere" in str(image.report).splitlines()[0]
 
 
 def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
@@ -204,7 +205,7 @@ def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
-    edges = renderer._mine.picture._cropped(renderer._mine.picture._edges)
+    edges = renderer._mine.picture._cropped(renderer._mine.picture._sums.edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
     # Some are crossed by so little that none of 16 cells tells.
@@ -212,9 +213,11 @@ def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
 
 
 @pytest.mark.parametrize(("name", "most"), [("unconverged_share", 0.01), ("unconverged_edge_share", 0.05)])
-def test_more_errors_are_let_pass_at_edges(table, name, most):
+def test_more_errors_are_let_pass_at_edges(name, most):
+    converged = Report(1e-2, (1e-3, 1e-2), True, 0.5, 0.0, 0.0, 1)
+
     def warned(share):
-        warn_unconverged(types.SimpleNamespace(plan=dataclasses.replace(table, **{name: share})))
+        warn_unconverged(types.SimpleNamespace(report=dataclasses.replace(converged, **{name: share})))
 
     warned(most - 0.001)
     with pytest.warns(wd.WarpdiffWarning, match="5.1 %|1.1 %"):
@@ -341,15 +344,15 @@ def test_lights_that_add_nothing_dilute_nothing(fingers, table):
         one = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
     with pytest.warns(wd.WarpdiffWarning, match="see image.error"):
         several = wd.shade(mesh, fingers, [LIGHT, below, below], far, plan=fine)
-    assert several.plan.unconverged_share == one.plan.unconverged_share
-    assert several.plan.refined_share == one.plan.refined_share
+    assert several.report.unconverged_share == one.report.unconverged_share
+    assert several.report.refined_share == one.report.refined_share
 
 
 def test_progress_ends_when_pixels_are_split(fingers, table):
     told = []
     fine = dataclasses.replace(table, tolerance=1e-2)
     image = wd.shade(BODIES["lumpy"](), fingers, LIGHT, view("lumpy"), plan=fine, progress=told.append)
-    assert image.plan.refined_share > 0.0
+    assert image.report.refined_share > 0.0
     assert told == sorted(told)
     assert sum(0.3 < each < 1.0 for each in told) >= 2
     assert told[-1] == 1.0

@@ -97,7 +97,7 @@ def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options)
         xyz = drawn.draw(lights, camera)
         expected = wd.shade(tube, fingers, lights, camera, plan=plans[name], **options)
         same(drawn.image(), expected)
-        assert drawn.image().plan.refined_share == expected.plan.refined_share
+        assert drawn.image().report.refined_share == expected.report.refined_share
         assert xyz.shape == (HEIGHT, WIDTH)
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
@@ -289,10 +289,10 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
         # What has settled takes cells of pixels beside it, so that one that is split otherwise changes those around.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
-        assert found.plan.refined_share == pytest.approx(expected.plan.refined_share, rel=0.05)
+        assert found.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
     assert len(recorded) == 1
     if name == "footprints" and "samples_per_pixel" not in options:
-        assert found.plan.refined_share > 0.1
+        assert found.report.refined_share > 0.1
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])
@@ -328,7 +328,7 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 300)
     parts = picture()
     same(parts, whole)
-    assert parts.plan.refined_share == whole.plan.refined_share
+    assert parts.report.refined_share == whole.report.refined_share
 
 
 def test_it_records_anew_where_other_launches_are_needed(fingers, plans, recorded):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import json
 import math
 import warnings
 import weakref
@@ -17,7 +18,8 @@ from warpdiff.diffraction import coefficient_basis, fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.tables import coefficient_table
+from warpdiff.tables import coefficient_table, table_cache
+from warpdiff.tables.table_cache import TableCache
 
 UP = [0.0, 0.0, 1.0]
 
@@ -133,30 +135,34 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
     assert wd.plan(rough, at_angle(40.0), threads=1, **options) == wd.plan(rough, at_angle(40.0), threads=2, **options)
 
 
-def test_a_plan_reads_as_a_paragraph(rough):
+def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    assert "\n" not in text
-    assert text.startswith("Low-rank basis")
-    assert text.rstrip(".").split("Scalar diffraction: ")[1].startswith("qualitative at 550 nm")
+    # The first line says whether results can be trusted.
+    assert text.splitlines()[0] == (
+        f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
+        "validation directions."
+    )
+    assert text.splitlines()[-1].startswith("  scalar diffraction  qualitative at 550 nm")
     for part in (
         "averaged window with σ = 3 µm",
-        "tolerance 0.003",
+        "Low-rank basis",
         f"|(u, v)| up to {plan.max_uv:.3g}",
         f"|w| {plan.min_w:.3g} to {plan.max_w:.3g}",
-        f"Predicted error {plan.error:.1e}, measured on {plan.validation_size} validation directions",
         f"{plan.terms} terms",
-        f"neighbours of weight {plan.least_weight:.1e} or more",
+        f"those of weight {plan.least_weight:.1e} or more",
         f"{plan.wavelengths} wavelengths equally spaced in 1/λ (fewer for",
-        f"Aliasing: {plan.aliasing:.1e}",
-        f"Cost: {plan.multiply_adds:.2g} multiply-adds per direction, {plan.microseconds:.2g} µs on one core",
+        f"truncation {plan.truncation:.1e}, neighbourhood {plan.neighbourhood:.1e}, quadrature",
+        f"{plan.aliasing:.1e} of the power",
+        f"{plan.multiply_adds:.2g} multiply-adds per direction, {plan.microseconds:.2g} µs on one core",
     ):
         assert part in text
     table = wd.plan(rough, at_angle(20.0), tolerance=1e-1, coherence=wd.Coherence(sigma_um=3.0))
     assert f"{table.rings_per_octave} rings per octave" in str(table)
     assert f"after {table.table_seconds:.2g} s for the table" in str(table)
     assert "typical of its bounds" in str(wd.plan(rough, UP, UP))
-    assert "Direct sum" in str(wd.plan(rough, method="direct"))
+    assert "direct sum" in str(wd.plan(rough, method="direct"))
+    assert "does not meet its tolerance" in str(dataclasses.replace(plan, truncation=1.0))
     assert "wavelengths" not in str(dataclasses.replace(plan, wavelengths=0))
     source = str(wd.plan(rough, at_angle(20.0), UP, coherence=wd.Coherence("source")))
     assert "source of 0.53° in diameter" in source
@@ -165,6 +171,28 @@ def test_a_plan_reads_as_a_paragraph(rough):
     assert "1 × 200 periods" in periods
     assert "for the periods' factor" in periods
     assert "neighbours" not in periods
+
+
+@pytest.mark.parametrize("kind", ["averaged", "replicas"])
+def test_a_saved_plan_is_the_same_plan(rough, kind, tmp_path):
+    coherence = wd.Coherence(kind, periods=(2, 3) if kind == "replicas" else None)
+    plan = wd.plan(rough, at_angle(20.0), UP, coherence=coherence)
+    assert wd.Plan.load(plan.save(tmp_path / "plan.json")) == plan
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"format": "another"}, "must be a plan"), ({"terms": 0}, "terms must be an integer, at least 1, got 0"),
+     ({"coherence": 3}, "must be a plan"), ({"more": 1}, "must be a plan")],
+)  # fmt: skip
+def test_a_damaged_plan_is_refused(rough, change, message, tmp_path):
+    path = wd.plan(rough, UP, UP).save(tmp_path / "plan.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(ValueError, match=message):
+        wd.Plan.load(path)
+    path.write_text(path.read_text()[:-5])
+    with pytest.raises(ValueError, match="must be a plan"):
+        wd.Plan.load(path)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
@@ -365,7 +393,7 @@ def test_few_tables_are_kept(rough, builds):
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
     for each in scopes:
         wd.reflectance(heightfield, UP, UP, plan=each)
-    assert len(coefficient_table._cache[heightfield].coefficients) == coefficient_table._MOST_CACHED
+    assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
     # The oldest went.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
@@ -378,11 +406,11 @@ def test_tables_die_with_their_height_field(rough, builds):
     heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
     wd.reflectance(heightfield, UP, UP, method="low-rank")
     gc.collect()
-    before = len(coefficient_table._cache)
+    before = len(table_cache._caches)
     del heightfield
     gc.collect()
     assert builds[0]() is None
-    assert len(coefficient_table._cache) == before - 1
+    assert len(table_cache._caches) == before - 1
 
 
 def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
@@ -446,7 +474,7 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     heightfield = wd.HeightField.of_known_scale(heights, surface.pitch_um)
     wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
-    assert len(coefficient_table.table_cache(heightfield).fitted_to) == 0
+    assert len(TableCache.of(heightfield).fitted_to) == 0
 
 
 def test_views_of_a_plan_are_all_of_its_fields(rough):

@@ -188,7 +188,6 @@ PLANS = [
     ("bandwidth_um", (1, 2, 0), "bandwidth_um must be .* the last > 0"),
     ("lambda_max_nm", math.inf, "lambda_max_nm must be a finite number"),
     ("method", "auto", "method must be one of 'low-rank', 'power', 'taylor', 'taylor-uncentred', 'jacobi-anger', "),
-    ("errors", [1.0], r"errors must be a pair of numbers, got \[1.0\]"),
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 

@@ -92,11 +92,11 @@ def prepared(folder: Path) -> Iterator[None]:
     def work(*_: object, **__: object) -> None:
         raise AssertionError("work begins")
 
+    fuzz.write_files(folder)
     with pytest.MonkeyPatch.context() as patches:
         patches.chdir(folder)
         patches.setattr(wp, "launch", work)
         patches.setattr(command, "run", work)
-        fuzz.write_files(folder)
         yield
 
 

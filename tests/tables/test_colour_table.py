@@ -17,7 +17,7 @@ from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.tables import colour_curves, colour_table
 from warpdiff.tables.lookup import ColourLookup
-from warpdiff.tables.polar_grid import MipLayout
+from warpdiff.tables.mip_layout import MipLayout
 
 # Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
 SHORT = wd.Coherence(sigma_um=3.25)
@@ -186,7 +186,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups against the same sums in float64, where octaves meet and a turn ends, too."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
-    table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options)[1]
+    table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
     # A node's number is a multiple of an octave's nodes where an octave begins.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
@@ -264,7 +264,8 @@ def test_functions_of_w_serve_all_terms():
     for term in range(6):
         for c in range(3):
             expected = weights[node, c] * basis_at(projection.ws * per_um)[:, term]
-            actual = projection.weights[node, c] * (projection.w_basis @ projection.octaves[0][0].matrices[node, term])
+            matrix = projection.matrices[projection.octaves[0][0].projection]
+            actual = projection.weights[node, c] * (projection.w_basis @ matrix[node, term])
             assert np.max(np.abs(expected - actual)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 

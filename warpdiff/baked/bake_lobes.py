@@ -11,9 +11,8 @@ import warp as wp
 from annotated_types import Ge, Interval
 
 from warpdiff.baked import quantisation
-from warpdiff.baked.interpolation import PolarGrid
+from warpdiff.baked.interpolation import grid_for, spline_coefficients
 from warpdiff.baked.lobe_table import LARGEST_KAPPA, LARGEST_W, MOST_W_BASIS, BakedLobes
-from warpdiff.baked.zeroth_order import zeroth_powers
 from warpdiff.core import memory
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.threads import single_threaded_blas
@@ -28,9 +27,10 @@ from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
 from warpdiff.request.signatures import checked
 from warpdiff.tables.lookup import ColourLookup
+from warpdiff.tables.zeroth_order import ZerothOrder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -142,23 +142,8 @@ class _Bakery:
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
-        """The first table that keeps the tolerance, or the largest."""
-        principal = self._functions()
-        coherence = self._evaluation.coherence
-        width = coherence.spread
-        if coherence.sigma_um is not None:
-            width = _BLUE_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
-        zeroth = zeroth_powers(self._evaluation.heightfield, np.linspace(0.0, LARGEST_KAPPA, _ENTRIES_OF_KAPPA))
-        material = self._evaluation.illuminated[0].material
-        reflectances = None if material is None else reflectance_table(material, _ANGLES)[:, ::_EACH_NM].copy()
-        functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
-        for index, (rings, azimuths_per_width) in enumerate(_TABLE_SIZES):
-
-            def at(share: float, index: int = index) -> None:
-                progress((index + share) / len(_TABLE_SIZES))
-
-            grid = PolarGrid.for_lobes(width, rings, azimuths_per_width)
-            result = self._table(grid, principal, functions.astype(np.float32), zeroth, reflectances, at)
+        """The first table that meets the tolerance, or the largest."""
+        for result in self._tables(progress):
             if result.error <= self._tolerance:
                 break
         progress(1.0)
@@ -172,26 +157,31 @@ class _Bakery:
             warn(message)
         return result
 
-    def _table(
-        self, grid: PolarGrid, principal: NDArray[np.float64], functions: NDArray[np.float32],
-        zeroth: NDArray[np.float32], reflectances: NDArray[np.float32] | None, progress: Callable[[float], None],
-    ) -> BakedLobes:  # fmt: skip
-        """A table with the nodes of a grid, judged."""
-        memory.require_memory(
-            _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",
-            f"use a larger {ref('delta_e')}, or a smaller {ref('sigma_um')}",
-        )  # fmt: skip
-        values = self._projected(grid.places(), principal, progress)
-        coefficients = grid.coefficients(values)
-        for dtype in (np.int8, np.int16):
-            result = BakedLobes(
-                self._evaluation.coherence, self._illuminant, self._tolerance, 0.0, grid, functions,
-                *quantisation.quantise(coefficients, dtype), zeroth, reflectances,
+    def _tables(self, progress: Callable[[float], None]) -> Iterator[BakedLobes]:
+        """Tables from small to large, with their errors."""
+        principal, evaluation = self._functions(), self._evaluation
+        coherence, material = evaluation.coherence, evaluation.illuminated[0].material
+        zeroth = ZerothOrder.of_heights(evaluation.heightfield, coherence, (0.0, LARGEST_KAPPA), _ENTRIES_OF_KAPPA)
+        width = math.sqrt(zeroth.lobe_variance(_BLUE_UM))
+        reflectances = None if material is None else reflectance_table(material, _ANGLES)[:, ::_EACH_NM].copy()
+        functions = self._between_nodes(np.linspace(0.0, LARGEST_W, _ENTRIES_OF_W)) @ principal
+        for index, (rings, azimuths_per_width) in enumerate(_TABLE_SIZES):
+            grid = grid_for(width, rings, azimuths_per_width)
+            memory.require_memory(
+                _BYTES_A_NODE * grid.nodes, f"a table of {grid.nodes} nodes",
+                f"use a larger {ref('delta_e')}, or a smaller {ref('sigma_um')}",
             )  # fmt: skip
-            result = replace(result, error=self._error(result.colours(self._validation_set, zeroth_order=False)))
-            if result.error <= self._tolerance:
-                break
-        return result
+            uv, values = grid.places(), np.zeros((grid.nodes, 3, principal.shape[1]), dtype=np.float32)
+            for done, (w, row) in enumerate(zip(self._ws, principal, strict=True), start=1):
+                values += self._at(uv, w)[:, :, None].astype(np.float32) * row.astype(np.float32)
+                progress((index + done / len(self._ws)) / len(_TABLE_SIZES))
+            coefficients = spline_coefficients(grid, values)
+            for dtype in (np.int8, np.int16):
+                table = BakedLobes(
+                    coherence, self._illuminant, self._tolerance, 0.0, grid, functions.astype(np.float32),
+                    *quantisation.quantise(coefficients, dtype), zeroth.power, reflectances,
+                )  # fmt: skip
+                yield replace(table, error=self._error(table.colours(self._validation_set, zeroth_order=False)))
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
         """Scattering vectors at random, and as many that were drawn for being bright, with their gains and colours.
@@ -206,12 +196,10 @@ class _Bakery:
         order = np.argsort(luminance)
         shares = np.cumsum(luminance[order])
         half = luminance[order][np.searchsorted(shares, 0.5 * shares[-1])]
-        weights = np.where(
-            np.arange(_CANDIDATES) < _VALIDATION_SIZE, 0.0, luminance + _FLOOR * luminance.mean() + 1e-300
-        )
-        bright = np.random.default_rng(seed).choice(
-            _CANDIDATES, _VALIDATION_SIZE, replace=False, p=weights / weights.sum()
-        )
+        weights = luminance + _FLOOR * luminance.mean() + 1e-300
+        weights[:_VALIDATION_SIZE] = 0.0
+        weights /= weights.sum()
+        bright = np.random.default_rng(seed).choice(_CANDIDATES, _VALIDATION_SIZE, replace=False, p=weights)
         places = np.concatenate([np.arange(_VALIDATION_SIZE), bright])
         level = max(float(np.percentile(luminance, 99.0)), float(half))
         return scattering_vectors[places], gains[places], colours[places], level
@@ -254,16 +242,6 @@ class _Bakery:
             if self._error(colours) <= _FUNCTIONS_SHARE * self._tolerance:
                 break
         return np.asarray(basis)
-
-    def _projected(
-        self, uv: NDArray[np.float64], principal: NDArray[np.float64], progress: Callable[[float], None]
-    ) -> NDArray[np.float32]:
-        """Coefficients of the functions at (u, v), (n, 3, K)."""
-        result = np.zeros((len(uv), 3, principal.shape[1]), dtype=np.float32)
-        for index, (w, row) in enumerate(zip(self._ws, principal, strict=True)):
-            result += self._at(uv, w)[:, :, None].astype(np.float32) * row.astype(np.float32)
-            progress((index + 1) / len(self._ws))
-        return result
 
     def _error(self, colours: NDArray[Any]) -> float:
         """Percentile 99 of ΔE2000 of the judges' colours, of those at random or of the bright ones.

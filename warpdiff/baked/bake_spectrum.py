@@ -9,7 +9,6 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from warpdiff.baked.spectrum_table import BakedSpectrum
-from warpdiff.baked.zeroth_order import zeroth_powers
 from warpdiff.core import memory
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.planner.strategy import directions_of, plan_for
@@ -17,6 +16,7 @@ from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
 from warpdiff.request.signatures import checked
 from warpdiff.tables import coefficient_table
+from warpdiff.tables.zeroth_order import ZerothOrder
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,7 +72,7 @@ def bake_spectrum(
             8.0 * size * size * terms, f"a spectrum of {size} × {size} cells", "take {side} of the size"
         )
         kappa_range = coefficient_table.CoefficientRange.covering(plan.direction_range.joined(direction_range))
-        kappas = np.linspace(kappa_range.kappa_low, kappa_range.kappa_high, _ENTRIES)
+        ends = kappa_range.kappa_low, kappa_range.kappa_high
         along = 2.0 * math.pi * (window.sigma_um or 0.0)
         largest = direction_range.max_uv * 1e3 / direction_range.lambda_min_nm
         at = table.arguments
@@ -83,10 +83,9 @@ def bake_spectrum(
         powers = np.empty((size, size, terms), dtype=np.float32)
         for term in range(terms):
             powers[:, :, term] = across_y @ rows[:, :, term] @ across_x.T
-    return BakedSpectrum(
-        float(window.sigma_um or 0.0), largest, powers, kappa_range.kappa_low, kappa_range.kappa_high,
-        coefficients.basis_at(kappas)[:, :terms].astype(np.float32), zeroth_powers(heightfield, kappas),
-    )  # fmt: skip
+    functions = coefficients.basis_at(np.linspace(*ends, _ENTRIES))[:, :terms].astype(np.float32)
+    zeroth = ZerothOrder.of_heights(heightfield, window, ends, _ENTRIES).power
+    return BakedSpectrum(float(window.sigma_um or 0.0), largest, powers, *ends, functions, zeroth)
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:

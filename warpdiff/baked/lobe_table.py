@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from warpdiff.baked import quantisation, table_files
-from warpdiff.baked.interpolation import PolarGrid
-from warpdiff.core import files, forks, memory, validation
+from warpdiff.baked.interpolation import interpolated, lobe_grid
+from warpdiff.core import forks, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_reflection
 from warpdiff.optics.spectra import Spectrum
+from warpdiff.tables.polar_grid import PolarGrid
+from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from numpy.typing import ArrayLike, NDArray
 
-FORMAT = "warpdiff baked lobes, version 2"
 LARGEST_W = 2.0
 # |κ| of the zeroth order's entries end at that of the largest |w| and the shortest wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
@@ -37,13 +34,18 @@ _KINDS = ("averaged", "source")
 
 
 @dataclass(frozen=True, eq=False)
-class BakedLobes:
+class BakedLobes(table_files.SavedTable):
     """Table of a height field's colours in all directions: XYZ(u, v, w) = w² Σ_k c_k(u, v) f_k(w) + the zeroth order.
 
     f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
     cubic B-spline interpolates around each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
     |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
     multiplies by it. With a material, the colours include its reflectance R(θd, λ).
+
+    Files hold the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
+    ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. They also hold
+    ``coherence`` (kind), ``width`` (σ in µm, or the source's diameter in degrees), ``illuminant`` (name),
+    ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and ``scale``.
 
     Attributes:
         coherence: Averaged window or source. Lobes of a source are those at normal incidence; at oblique incidence they
@@ -62,6 +64,8 @@ class BakedLobes:
         reflectances: R of the material at equal steps of cos θd from 0 to 1 and of the wavelength from 380 to 780 nm,
             shape (angles, wavelengths), float32, linear in between; None without a material.
     """
+
+    FORMAT = "warpdiff baked lobes, version 2"
 
     coherence: Coherence
     illuminant: str | Spectrum
@@ -87,24 +91,19 @@ class BakedLobes:
         validation.positive(self.scale, "scale")
         if not isinstance(self.grid, PolarGrid):
             raise ArgumentTypeError(f"{ref('grid')} must be a PolarGrid, got {type(self.grid).__name__}")
+        if self.grid != lobe_grid(self.grid.rings, self.grid.azimuths):
+            raise ArgumentValueError(f"{ref('grid')} must end one ring beyond |(u, v)| = 2, got {self.grid}")
         nodes = self.grid.nodes
         count = np.shape(self.mantissas)[-1] if np.ndim(self.mantissas) else 0
         if not 1 <= count <= MOST_W_BASIS:
             shape = np.shape(self.mantissas)
             raise ArgumentValueError(f"{ref('mantissas')} must have 1 to {MOST_W_BASIS} functions, got shape {shape}")
-        for name in ("functions", "zeroth"):
-            if np.ndim(getattr(self, name)) == 0 or len(getattr(self, name)) < 2:
-                raise ArgumentValueError(f"{ref(name)} must have at least two entries")
         table_files.check(
-            self, functions=(np.float32, (len(self.functions), count)), exponents=(np.uint8, (nodes, 3)),
+            self, functions=(np.float32, (None, count)), exponents=(np.uint8, (nodes, 3)), zeroth=(np.float32, (None,)),
             mantissas=(np.int16 if self.mantissas.dtype == np.int16 else np.int8, (nodes, 3, count)),
-            zeroth=(np.float32, (len(self.zeroth),)),
         )  # fmt: skip
         if self.reflectances is not None:
-            table_files.check(self, reflectances=(np.float32, np.shape(self.reflectances)))
-            if self.reflectances.ndim != 2 or min(self.reflectances.shape) < 2:
-                shape = self.reflectances.shape
-                raise ArgumentValueError(f"{ref('reflectances')} must have shape (angles, wavelengths), got {shape}")
+            table_files.check(self, reflectances=(np.float32, (None, None)))
 
     @property
     def bytes(self) -> int:
@@ -154,9 +153,9 @@ class BakedLobes:
             f"{ref('scattering_vectors')} of {len(uvw)} rows",
             "take at most {share} of them",
         )
-        at_uv = self.grid.interpolated(self.coefficients, uvw[:, :2])
+        at_uv = interpolated(self.grid, self.coefficients, uvw[:, :2])
         w = np.minimum(np.abs(uvw[:, 2]), LARGEST_W)
-        colours = np.einsum("nck,nk->nc", at_uv, _linear(self.functions, w / LARGEST_W)) * (w * w)[:, None]
+        colours = np.einsum("nck,nk->nc", at_uv, between_entries(self.functions, w / LARGEST_W)) * (w * w)[:, None]
         result: NDArray[np.float64] = np.maximum(colours, 0.0)
         if zeroth_order:
             result += self._zeroth_order(uvw[:, :2], w)
@@ -180,7 +179,7 @@ class BakedLobes:
         for row, v in enumerate(axis):
             inside = np.flatnonzero(np.hypot(axis, v) <= LARGEST_W)
             at = np.column_stack([axis[inside], np.full(len(inside), v)])
-            result[row, inside] = self.grid.interpolated(self.coefficients, at)
+            result[row, inside] = interpolated(self.grid, self.coefficients, at)
         return result
 
     def reflectance(
@@ -204,6 +203,10 @@ class BakedLobes:
         result = (gains[:, None] * self.colours(-lights - views)).astype(np.float32)
         return result[0] if single else result
 
+    @property
+    def _zeroth(self) -> ZerothOrder:
+        return ZerothOrder(self.zeroth, 0.0, LARGEST_KAPPA, self.coherence)
+
     def _zeroth_order(self, uv: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
         """What the mean plane reflects, for a gain of 1, where it is not nothing."""
         result = np.zeros((len(uv), 3))
@@ -218,29 +221,13 @@ class BakedLobes:
     def lobe_variance(self, wavelength_um: float) -> float:
         """Variance of a lobe in (u, v) along each axis, at a wavelength [µm], above 0 and at most 10."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
-        if self.coherence.sigma_um is None:
-            return self.coherence.spread**2
-        return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)
+        return self._zeroth.lobe_variance(wavelength_um)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table to a file; an existing file is replaced only after the new one is complete.
-
-        The file is a compressed ``.npz`` of NumPy. It holds the arrays ``functions``, ``exponents``, ``mantissas`` and
-        ``zeroth``, with a material also ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and
-        ``illuminant_values``. It also holds ``format``, ``coherence`` (kind), ``width`` (σ in µm, or the source's
-        diameter in degrees), ``illuminant`` (name), ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and
-        ``scale``.
-
-        Args:
-            path: Path of the file, ending in ``.npz``.
-
-        Returns:
-            The path.
-        """
+    def _arrays(self) -> dict[str, Any]:
         coherence = self.coherence
         width = coherence.angular_diameter_deg if coherence.sigma_um is None else coherence.sigma_um
         arrays: dict[str, Any] = {
-            "format": FORMAT, "coherence": coherence.kind, "width": width, "illuminant": str(self.illuminant),
+            "coherence": coherence.kind, "width": width, "illuminant": str(self.illuminant),
             "tolerance": self.tolerance, "error": self.error, "rings": self.grid.rings,
             "rays": np.array(self.grid.azimuths, dtype=np.int64), "scale": self.scale, "functions": self.functions,
             "exponents": self.exponents, "mantissas": self.mantissas, "zeroth": self.zeroth,
@@ -249,30 +236,12 @@ class BakedLobes:
             arrays["reflectances"] = self.reflectances
         if isinstance(self.illuminant, Spectrum):
             arrays |= {"illuminant_nm": self.illuminant.wavelengths_nm, "illuminant_values": self.illuminant.values}
-        return files.save_arrays(path, arrays)
+        return arrays
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> BakedLobes:
-        """Read a table from a file of :meth:`save`.
-
-        Args:
-            path: Path of the file.
-
-        Raises:
-            FileNotFoundError: The file does not exist.
-            ValueError: The file is damaged or of another format.
-        """
-        with table_files.loaded(path, FORMAT, "BakedLobes") as arrays:
-            return cls._from_arrays(arrays)
-
-    @classmethod
-    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> BakedLobes:
+    def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
         kind: Any = str(arrays["coherence"])
-        width = float(arrays["width"])
-        is_source = kind == "source"
-        coherence = Coherence(
-            kind, sigma_um=None if is_source else width, angular_diameter_deg=width if is_source else None
-        )
+        width: dict[str, Any] = {"angular_diameter_deg" if kind == "source" else "sigma_um": float(arrays["width"])}
         rings, azimuths = int(arrays["rings"]), arrays["rays"]
         if not 1 <= rings <= _MOST_RINGS or azimuths.dtype != np.int64 or not 1 <= azimuths.size <= _MOST_OCTAVES:
             raise ValueError("rings and rays must describe a polar grid")
@@ -282,8 +251,8 @@ class BakedLobes:
         if "illuminant_nm" in arrays:
             illuminant = Spectrum(arrays["illuminant_nm"], arrays["illuminant_values"], str(illuminant))
         return cls(
-            coherence, illuminant, float(arrays["tolerance"]), float(arrays["error"]),
-            PolarGrid(rings, tuple(azimuths.tolist())), arrays["functions"], float(arrays["scale"]),
+            Coherence(kind, **width), illuminant, float(arrays["tolerance"]), float(arrays["error"]),
+            lobe_grid(rings, tuple(azimuths.tolist())), arrays["functions"], float(arrays["scale"]),
             arrays["exponents"], arrays["mantissas"], arrays["zeroth"], arrays.get("reflectances"),
         )  # fmt: skip
 
@@ -299,18 +268,11 @@ def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
 
 def zeroth_order_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: float) -> NDArray[np.float64]:
     """Power of the zeroth order at |w| and 1/λ [1/µm], at the peak of its lobe, for a geometry factor of 1."""
-    power = _linear(lobes.zeroth[:, None], w * wavenumber / LARGEST_KAPPA)[:, 0]
+    power = lobes._zeroth.at(w * wavenumber)
     if lobes.reflectances is None:
         return power
     low, high = colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM
     at = np.full(1, (1e3 / wavenumber - low) / (high - low))
     # In the mirror direction cos θd is half of w.
-    return np.asarray(power * _linear(_linear(lobes.reflectances.T, at).T, w / LARGEST_W)[:, 0])
-
-
-def _linear(entries: NDArray[Any], share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows between entries (n, m) at equal steps, at shares of the whole range from 0 to 1."""
-    at = share * (len(entries) - 1)
-    first = np.clip(at.astype(np.int64), 0, len(entries) - 2)
-    t = (at - first)[:, None]
-    return np.asarray((1.0 - t) * entries[first] + t * entries[first + 1])
+    reflectances = between_entries(between_entries(lobes.reflectances.T, at).T, w / LARGEST_W)[:, 0]
+    return np.asarray(power * reflectances)

@@ -8,27 +8,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.baked import table_files
-from warpdiff.core import files, validation
+from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
-FORMAT = "warpdiff baked spectrum, version 1"
 _MOST_SIZE = 8192
 
 
 @dataclass(frozen=True, eq=False)
-class BakedSpectrum:
+class BakedSpectrum(table_files.SavedTable):
     """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
     q = (u, v)/λ and κ = w/λ. Each cell holds the mean over its area, so the sum over cells is the power at any
     resolution. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²). In two dimensions, 4πσ² times the power
-    is a density whose integral over q is 1, as Σ|H|² is.
+    is a density whose integral over q is 1, as Σ|H|² is. Files hold the attributes by name.
 
     Attributes:
         sigma_um: Standard deviation σ of the window [µm].
@@ -39,6 +35,8 @@ class BakedSpectrum:
         functions: f_k at equal steps of |κ|, shape (entries, K), float32; linear in between.
         zeroth: |H₀₀|² at the same |κ|, shape (entries,), float32.
     """
+
+    FORMAT = "warpdiff baked spectrum, version 1"
 
     sigma_um: float
     largest_q: float
@@ -78,33 +76,3 @@ class BakedSpectrum:
             f"Baked spectrum, {self.coherence}: {count} functions of κ at {size} × {size} cells of |q| up to "
             f"{self.largest_q:.3g} /µm, {self.powers.nbytes / 1e6:.2g} MB."
         )
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table to a file; an existing file is replaced only after the new one is complete.
-
-        The file is a compressed ``.npz`` of NumPy with the attributes by name, and ``format``.
-
-        Args:
-            path: Path of the file, ending in ``.npz``.
-
-        Returns:
-            The path.
-        """
-        return files.save_arrays(path, {"format": FORMAT, **vars(self)})
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> BakedSpectrum:
-        """Read a table from a file of :meth:`save`.
-
-        Args:
-            path: Path of the file.
-
-        Raises:
-            FileNotFoundError: The file does not exist.
-            ValueError: The file is damaged or of another format.
-        """
-        with table_files.loaded(path, FORMAT, "BakedSpectrum") as arrays:
-            return cls(
-                float(arrays["sigma_um"]), float(arrays["largest_q"]), arrays["powers"], float(arrays["least_kappa"]),
-                float(arrays["largest_kappa"]), arrays["functions"], arrays["zeroth"],
-            )  # fmt: skip

@@ -2,63 +2,103 @@
 
 from __future__ import annotations
 
-import contextlib
 import zipfile
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from warpdiff.core import memory, validation
-from warpdiff.core.files import naming_file
+from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator
+    from pathlib import Path
 
 
-@contextlib.contextmanager
-def loaded(path: str | os.PathLike[str], format_name: str, kind: str) -> Iterator[dict[str, Any]]:
-    """The arrays of a file whose ``format`` is what is told; whatever is wrong with them within, too, is a ValueError.
+class SavedTable:
+    """Table that is a file of its attributes by name, unless a class says otherwise.
 
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is not one of the kind, or damaged.
+    Attributes:
+        FORMAT: Value of ``format`` in the file.
     """
-    source = validation.path(path, "path")
-    try:
-        with naming_file(source), source.open("rb") as file:
-            with zipfile.ZipFile(file) as archive:
-                size = sum(entry.file_size for entry in archive.infolist())
-            memory.require_memory(size, f"{ref('path')}: {str(path)!r}", "take a smaller one")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        _check_format(str(arrays["format"]), format_name)
-        yield arrays
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:
-        # Damaged archives make zipfile, zlib and NumPy raise all sorts of things.
-        raise ArgumentValueError(
-            f"{ref('path')} must be a file that {kind}.save wrote, got {str(path)!r}: {type(error).__name__}: {error}"
-        ) from error
+
+    FORMAT: ClassVar[str]
+
+    def _arrays(self) -> dict[str, Any]:
+        """Numbers, texts and arrays by name."""
+        return vars(self)
+
+    @classmethod
+    def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
+        """The table of the arrays of a file; any exception means that these are not such a table's."""
+        return cls(**{name: value if value.ndim else float(value) for name, value in arrays.items()})
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the table to a file; an existing file is replaced only after the new one is complete.
+
+        The file is a compressed ``.npz`` of NumPy. It holds ``format`` and the arrays that the class lists.
+
+        Args:
+            path: Path of the file, ending in ``.npz``.
+
+        Returns:
+            The path.
+        """
+        return files.save_arrays(path, {"format": self.FORMAT, **self._arrays()})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a table from a file of :meth:`save`.
+
+        Args:
+            path: Path of the file.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is damaged or of another format.
+        """
+        source = validation.path(path, "path")
+        try:
+            return cls._from_arrays(_read(source, cls.FORMAT))
+        except (OSError, MemoryError):
+            raise
+        except Exception as error:
+            # Damaged archives make zipfile, zlib and NumPy raise errors of many types.
+            raise ArgumentValueError(
+                f"{ref('path')} must be a file that {cls.__name__}.save wrote, got {str(path)!r}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
 
 
-def _check_format(actual: str, expected: str) -> None:
+def _read(source: Path, expected: str) -> dict[str, Any]:
+    """The arrays of a file with the expected ``format``."""
+    with files.naming_file(source), source.open("rb") as file:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        memory.require_memory(size, f"{ref('path')}: {str(source)!r}", "take a smaller one")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    actual = str(arrays.pop("format"))
     if actual != expected:
         raise ValueError(f"format is {actual!r}, not {expected!r}")
+    return arrays
 
 
-def check(owner: Any, **expected: tuple[Any, tuple[int, ...]]) -> None:
-    """Refuse attributes that are not arrays of a type and a shape, or not finite; from now on they are read-only."""
+def check(owner: Any, **expected: tuple[Any, tuple[int | None, ...]]) -> None:
+    """Refuse attributes that are not arrays of a type and a shape, or not finite; from now on they are read-only.
+
+    None in a shape stands for at least two entries.
+    """
     for name, (dtype, shape) in expected.items():
         array = getattr(owner, name)
         if not isinstance(array, np.ndarray) or array.dtype != dtype:
             kind = array.dtype.name if isinstance(array, np.ndarray) else type(array).__name__
             raise ArgumentTypeError(f"{ref(name)} must be an array of {np.dtype(dtype).name}, got {kind}")
-        if array.shape != shape or 0 in shape:
-            raise ArgumentValueError(f"{ref(name)} must have shape {shape}, without an empty axis, got {array.shape}")
+        pairs = zip(array.shape, shape, strict=False)
+        if len(shape) != array.ndim or 0 in shape or any(n < 2 if m is None else n != m for n, m in pairs):
+            lengths = ", ".join("at least 2" if length is None else f"{length}" for length in shape)
+            raise ArgumentValueError(f"{ref(name)} must have shape ({lengths}), no axis empty, got {array.shape}")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             count = int(np.count_nonzero(~np.isfinite(array)))
             raise ArgumentValueError(f"{ref(name)} must be finite, got {count} NaN or infinite value(s)")

@@ -70,10 +70,15 @@ class LruCache(Generic[_T]):
         with _lock:
             self._values.clear()
 
+    @property
+    def nbytes(self) -> float:
+        """Number of bytes of all values."""
+        with _lock:
+            return sum(self._bytes_of(value) for value in self._values.values())
+
     def _trim(self) -> None:
         """Remove the least recently used values until the rest is within bounds."""
         for oldest in list(self._values)[:-1]:
-            size = sum(self._bytes_of(value) for value in self._values.values())
-            if len(self._values) <= self._most and size <= self._most_bytes:
+            if len(self._values) <= self._most and self.nbytes <= self._most_bytes:
                 break
             del self._values[oldest]

@@ -93,6 +93,16 @@ def naming_file(file: Path) -> Iterator[None]:
         raise marked(type(error), message) from error
 
 
+@contextlib.contextmanager
+def holding(argument: str, file: Path) -> Iterator[None]:
+    """Name a file, the argument ``path``, in errors of the argument that its content becomes."""
+    try:
+        yield
+    except ArgumentValueError as error:
+        named = error.marked.replace(ref(argument), f"{ref('path')}: {str(file)!r}", 1)
+        raise ArgumentValueError(named) from None
+
+
 def read_text(file: Path, most_bytes: int) -> str:
     """Read the text of a file, the argument ``path``; bytes that are not UTF-8 become question marks.
 

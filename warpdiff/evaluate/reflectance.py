@@ -15,11 +15,14 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
-from warpdiff.image.image import Image, lengths, relative_errors
+from warpdiff.image.error_model import lengths, relative_errors
+from warpdiff.image.image import Image
+from warpdiff.image.report import report_of
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
-from warpdiff.planner.strategy import plan_for, warn_outside
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import plan_for
 from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import BrdfSettings, EvaluationSettings, SpectralSettings
@@ -165,7 +168,9 @@ def reflectance_map(
     mask = coverage > 0.0
     error = np.zeros(mask.shape, dtype=np.float32)
     error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
-    return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan)
+    tolerance = call.plan.tolerance
+    report = report_of(error, mask, None, tolerance=tolerance, refined_share=0.0, light_sample_count=1)
+    return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan, report=report)
 
 
 @accepts(BrdfSettings)

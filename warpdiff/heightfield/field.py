@@ -135,7 +135,7 @@ class HeightField:
         if not file.is_file():
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is not a file; give a grey image, .npy or .npz")
         heights, own_pitch = readers.read(file, height_range_um)
-        pitch = _pitch_of(file, own_pitch, heights.shape, extent_um, pitch_um)
+        pitch = readers.pitch_of(file, own_pitch, heights.shape, extent_um, pitch_um)
         try:
             return cls(heights, pitch) if own_pitch is None else cls.of_known_scale(heights, pitch)
         except (ArgumentValueError, ArgumentTypeError) as error:
@@ -485,43 +485,16 @@ class HeightField:
         """Refuse a method that needs more memory than there is."""
         ny, nx = self.shape
         memory.require_memory(
-            _BYTES_PER_SAMPLE[method] * ny * nx,
-            f"{ref(f'{method}()')} of a field of {ny} × {nx} samples",
+            _BYTES_PER_SAMPLE[method] * ny * nx, f"{ref(f'{method}()')} of a field of {ny} × {nx} samples",
             f"take {{share}} of its area, by {ref('cropped()')}, or a coarser pitch",
-        )
+        )  # fmt: skip
 
 
 def check_whole(heightfield: Any) -> None:
     """Refuse what is no height field, or lacks samples."""
     validation.instance(heightfield, HeightField, "heightfield")
-    count = heightfield._missing_count
-    if count:
+    if count := heightfield._missing_count:
         raise ArgumentValueError(
             f"{ref('heightfield')} must have all samples, but {count} of {heightfield.missing.size} are missing (NaN "
-            "or "
-            f"masked): fill them with {ref('filled()')}, or cut out a part without gaps with {ref('cropped()')}"
+            f"or masked): fill them with {ref('filled()')}, or cut out a part without gaps with {ref('cropped()')}"
         )
-
-
-def _pitch_of(
-    file: Path, own_pitch: float | tuple[float, float] | None, shape: tuple[int, ...],
-    extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None,
-) -> float | tuple[float, float]:  # fmt: skip
-    """Return the pitch of a file's samples: its own, or that by exactly one of the arguments of `HeightField.load`."""
-    names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
-    if own_pitch is not None:
-        if names:
-            raise ArgumentValueError(f"{ref(names[0])} must not be given: {str(file)!r} states its own pitch")
-        return own_pitch
-    if len(names) != 1:
-        raise ArgumentValueError(
-            f"exactly one of {ref('extent_um')} (size of the field) and {ref('pitch_um')} (distance of the samples) "
-            f"must be given, got {'both' if names else 'neither'}"
-        )
-    if pitch_um is not None:
-        return validation.pair(pitch_um, "pitch_um")
-    ny, nx = shape
-    if validation.is_sequence(extent_um):
-        size = validation.pair(extent_um, "extent_um")
-        return size[0] / ny, size[1] / nx
-    return validation.positive(extent_um, "extent_um") / nx

@@ -196,3 +196,27 @@ def _reason(source: Any) -> str:
         return " ".join(source.geterror().split())
     except UnicodeDecodeError:
         return "its header is damaged"
+
+
+def pitch_of(
+    file: Path, own_pitch: float | tuple[float, float] | None, shape: tuple[int, ...],
+    extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None,
+) -> float | tuple[float, float]:  # fmt: skip
+    """Return the pitch of a file's samples: its own, or that by exactly one of the arguments of `HeightField.load`."""
+    names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
+    if own_pitch is not None:
+        if names:
+            raise ArgumentValueError(f"{ref(names[0])} must not be given: {str(file)!r} states its own pitch")
+        return own_pitch
+    if len(names) != 1:
+        raise ArgumentValueError(
+            f"exactly one of {ref('extent_um')} (size of the field) and {ref('pitch_um')} (distance of the samples) "
+            f"must be given, got {'both' if names else 'neither'}"
+        )
+    if pitch_um is not None:
+        return validation.pair(pitch_um, "pitch_um")
+    ny, nx = shape
+    if validation.is_sequence(extent_um):
+        size = validation.pair(extent_um, "extent_um")
+        return size[0] / ny, size[1] / nx
+    return validation.positive(extent_um, "extent_um") / nx

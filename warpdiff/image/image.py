@@ -15,7 +15,6 @@ from annotated_types import Gt, Interval, Unit
 from warpdiff.core import files, memory, openimageio, validation
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.image import display_transform
-from warpdiff.kernels.thresholds import FLOOR, TINY
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     import PIL.Image
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.image.report import Report
     from warpdiff.request.plan import Plan
 
 Bits = Literal[8, 16]
@@ -40,11 +40,6 @@ _TOO_BRIGHT = 1e-4
 MOST_STOPS = 30.0
 # Memory for reading a file: a sample, and its copy by channel.
 _BYTES_PER_SAMPLE = 8
-# The odds that a pixel errs by more than the tolerance, where its estimated error is the tolerance, and the power of
-# their ratio that they grow by.
-_ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
-# What pixels may err by that edges pass, of the mesh or of what is illuminated, over the tolerance.
-EDGES_PER_TOLERANCE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +55,7 @@ class Image:
         error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*) as in ``tolerance``, shape
             (height, width), float32; 0 where nothing is illuminated.
         plan: Plan of the computation; None for a picture that :meth:`load` read.
+        report: Report on the picture's errors and refinement; None likewise.
         layers: Further outputs at the first hits of the central camera rays, by name, as requested from
             :func:`warpdiff.shade`. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
             width, 3), float32, 0 in the background. ``"depth"``: distance along the ray, from the eye or the plane
@@ -74,6 +70,7 @@ class Image:
     coverage: NDArray[np.float32]
     error: NDArray[np.float32]
     plan: Plan | None
+    report: Report | None = None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -330,7 +327,7 @@ class Image:
         spec.alpha_channel = channels.index("A") if "A" in channels else -1
         spec.attribute("Software", "warpdiff")
         if self.plan is not None:
-            spec.attribute("ImageDescription", str(self.plan))
+            spec.attribute("ImageDescription", f"{self.plan}\n\n{self.report}")
         spec.attribute("warpdiff:display", transform)
         spec.attribute("warpdiff:exposure", float(factor))
 
@@ -347,7 +344,7 @@ class Image:
         Returns:
             The picture, with the values of the file: XYZ is multiplied by the exposure with which it was saved, 1 by
             default. ``mask`` is where ``coverage`` is above 0, ``illuminated`` where XYZ or ``error`` is not 0 within
-            it, and ``plan`` is None, as files do not hold them.
+            it, and ``plan`` and ``report`` are None, as files do not hold them.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -370,34 +367,9 @@ class Image:
         return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers)
 
 
-def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """‖XYZ‖ of colours (…, 3): ``np.linalg.norm`` takes three times as long where the last axis is short."""
-    return np.asarray(np.sqrt(np.einsum("...c,...c->...", xyz, xyz)))
-
-
 def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:
     """Encoded components as integers of a PNG file."""
     return np.asarray(np.round(np.float64(encoded) * (2**bits - 1)), dtype=np.uint8 if bits == 8 else np.uint16)
-
-
-def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Errors ‖ΔXYZ‖ (n,) of illuminated points, over max(‖XYZ‖, f · Y*), of its XYZ (n, 3)."""
-    luminance = np.sort(xyz[:, 1])
-    white = 0.0
-    if len(luminance):
-        total = np.cumsum(luminance, dtype=np.float64)
-        median = luminance[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
-        white = max(float(luminance[math.ceil(0.99 * len(luminance)) - 1]), float(median))
-    floor = max(FLOOR * white, TINY)
-    return np.asarray(errors / np.maximum(lengths(xyz), floor), dtype=np.float32)
-
-
-def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
-    """The share of pixels that are expected to err by more than a tolerance, from their estimated errors."""
-    if not error.size:
-        return 0.0
-    odds = _ODDS_AT_TOLERANCE * (error.astype(np.float64) / tolerance) ** _ODDS_POWER
-    return float(np.mean(odds / (1.0 + odds)))
 
 
 def check_target(path: Any, name: str = "path") -> Path:

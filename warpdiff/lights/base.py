@@ -1,32 +1,74 @@
-"""Lobes: the parts of a light that pictures are computed from, whatever kind of light it is."""
+"""Lights and their parts: what the file of each kind of light provides before any kernel runs.
+
+A public light makes parts, and a part makes a pass (``light_pass``), which fills and reads arrays of one picture.
+Pictures refine pixels under one part after the other, as refinement needs the colours of that part alone.
+"""
 
 from __future__ import annotations
 
-import functools
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from warpdiff.lights.sky_maps import SkyMaps
+    from warpdiff.lights.light_pass import LightPass, PassContext
+    from warpdiff.optics.coherence import Coherence
 
-# Squares of colours are float32.
+# Limit of powers: squares of colours are float32.
 MOST_POWER = 1e12
 
 
-class Light:
-    """Base class of light sources; the file of each kind registers its function of :func:`lobes_of`."""
+class Light(ABC):
+    """Base class of light sources."""
+
+    @abstractmethod
+    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:
+        """Return the parts that pictures render one after the other.
+
+        Args:
+            coherence: Coherence of the picture, whose window blurs the light.
+            tolerance: Tolerance of the picture.
+            single_lobe: Whether a light that one lobe can approximate becomes one.
+            name: The argument that holds this light, for messages.
+
+        Raises:
+            ValueError: The light does not suit the coherence; the message names the argument.
+        """
+
+
+class LightPart(ABC):
+    """Part of a light that pictures render by itself.
+
+    Attributes:
+        spectra: The illuminants that it consists of.
+        has_lobes: Whether it consists of lobes, whose directions a plan is for; otherwise a plan is for the hemisphere.
+        has_extent: Whether light arrives from more than one direction, which requires footprints.
+        sample_count: Number of lobes or directions that represent it.
+    """
+
+    spectra: tuple[str | Spectrum, ...]
+    has_lobes: bool
+    has_extent: bool
+    sample_count: int
+
+    @abstractmethod
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass of this part over the rays of a picture."""
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """A part of a light: a Gaussian of directions, or one direction.
+    """Lobe of a light: a Gaussian of directions, or one direction.
 
     Attributes:
         to_light: Unit vector towards it, world frame.
@@ -36,8 +78,6 @@ class Lobe:
             world frame; None is a single direction.
         position: Position, world frame, from which the power falls off by the square of the distance; ``to_light`` is
             then ignored. None is infinitely far away.
-        sky: Light from all directions, instead of all of these; the power is then 1.
-        is_same_light: Whether it belongs to the same light as the lobe before.
     """
 
     to_light: tuple[float, float, float]
@@ -45,35 +85,52 @@ class Lobe:
     power: float
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
-    sky: SkyMaps | None = None
-    is_same_light: bool = False
-
-    @property
-    def illuminants(self) -> tuple[str | Spectrum, ...]:
-        """The illuminants that the lobe consists of."""
-        return (self.illuminant,) if self.sky is None else self.sky.spectra
-
-    @property
-    def has_extent(self) -> bool:
-        """Whether it is more than one direction."""
-        return self.deviations is not None or self.sky is not None
 
 
-@functools.singledispatch
-def lobes_of(
-    light: Any,
-    sigma_um: float | None = None,  # noqa: ARG001 (of the registered functions)
-    *,
-    single_lobe: bool = False,  # noqa: ARG001
-) -> list[Lobe]:
-    """Return the lobes of a light; the file of each kind of light registers its own function.
+@dataclass(frozen=True)
+class LobeSet(LightPart):
+    """Lobes of one light, as directional lights, discs and point lights have them.
 
-    Args:
-        light: The light.
-        sigma_um: Standard deviation of the window that blurs the light [µm]; None does not blur it.
-        single_lobe: Whether a light that can be approximated by one lobe is.
+    Attributes:
+        lobes: The lobes.
     """
-    raise TypeError(f"no function is registered for the lobes of {type(light).__name__}")
+
+    lobes: tuple[Lobe, ...]
+    has_lobes = True
+
+    def __post_init__(self) -> None:
+        # Frozen: these follow from the lobes.
+        vars(self).update(
+            spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
+            has_extent=any(lobe.deviations is not None for lobe in self.lobes),
+        )  # fmt: skip
+
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass of lobes."""
+        # Lights are described, as for the command line's help, without loading Warp.
+        from warpdiff.lights.lobe_pass import LobePass
+
+        return LobePass(self, context)
+
+
+class LobeLight(Light):
+    """Base class of lights that consist of lobes of one illuminant."""
+
+    illuminant: str | Spectrum
+
+    @abstractmethod
+    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
+        """Return the lobes.
+
+        Args:
+            sigma_um: Standard deviation of the window that blurs the light [µm]; None does not blur it.
+            single_lobe: Whether a light that one lobe can approximate becomes one.
+        """
+
+    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of environments)
+        """Return all lobes as one part."""
+        colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
+        return [LobeSet(tuple(self.lobes(coherence.sigma_um, single_lobe=single_lobe)))]
 
 
 def check_illuminant(illuminant: object) -> None:
@@ -86,7 +143,7 @@ def check_illuminant(illuminant: object) -> None:
 
 
 def orthonormal_pair(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two unit vectors orthogonal to a vector and to each other, shape (2, 3)."""
+    """Return two unit vectors orthogonal to a vector and to each other, shape (2, 3)."""
     tangent = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     tangent /= np.linalg.norm(tangent)
     return np.stack([tangent, np.cross(axis, tangent)])

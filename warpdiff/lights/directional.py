@@ -11,7 +11,7 @@ from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Light, Lobe, check_illuminant, lobes_of, orthonormal_pair
+from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, check_illuminant, orthonormal_pair
 from warpdiff.lights.disc_lobes import lobes_of_disc
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
 @dataclass(frozen=True)
-class DirectionalLight(Checked, Light):
+class DirectionalLight(Checked, LobeLight):
     """Light from infinitely far away, from a point or a disc in the sky.
 
     Attributes:
@@ -50,27 +50,28 @@ class DirectionalLight(Checked, Light):
         super().__post_init__()
         check_illuminant(self.illuminant)
 
+    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
+        """Return one lobe with the mean and variance of the disc, or several that also have its rim.
 
-@lobes_of.register(DirectionalLight)
-def _lobes_of_directional(
-    light: DirectionalLight, sigma_um: float | None = None, *, single_lobe: bool = False
-) -> list[Lobe]:
-    """One lobe with the mean and variance of the disc, or several that also have its rim, but for a blur."""
-    radius = math.radians(light.angular_diameter_deg / 2.0)
-    if radius == 0.0:
-        return [Lobe(light.to_light, light.illuminant, light.power)]
-    axis = np.asarray(light.to_light)
-    tangent, bitangent = orthonormal_pair(axis)
-    if light.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
-        return [Lobe(light.to_light, light.illuminant, light.power, radius / 2.0 * np.stack([tangent, bitangent]))]
-    result: list[Lobe] = []
-    for polar, azimuth, radial, tangential, share in lobes_of_disc(light.angular_diameter_deg, sigma_um):
-        outwards = math.cos(azimuth) * tangent + math.sin(azimuth) * bitangent
-        x, y, z = (math.cos(polar) * axis + math.sin(polar) * outwards).tolist()
-        deviations = [
-            radial * (math.cos(polar) * outwards - math.sin(polar) * axis),
-            tangential * (math.cos(azimuth) * bitangent - math.sin(azimuth) * tangent),
-        ]
-        power = light.power * share
-        result.append(Lobe((x, y, z), light.illuminant, power, np.stack(deviations), is_same_light=len(result) > 0))
-    return result
+        Args:
+            sigma_um: Standard deviation of the window, which blurs the rim [µm]; None does not blur it.
+            single_lobe: Whether a disc that one lobe can approximate becomes one.
+        """
+        radius = math.radians(self.angular_diameter_deg / 2.0)
+        if radius == 0.0:
+            return [Lobe(self.to_light, self.illuminant, self.power)]
+        axis = np.asarray(self.to_light)
+        tangent, bitangent = orthonormal_pair(axis)
+        if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
+            return [Lobe(self.to_light, self.illuminant, self.power, radius / 2.0 * np.stack([tangent, bitangent]))]
+        result: list[Lobe] = []
+        for polar, azimuth, radial, tangential, share in lobes_of_disc(self.angular_diameter_deg, sigma_um):
+            outwards = math.cos(azimuth) * tangent + math.sin(azimuth) * bitangent
+            x, y, z = (math.cos(polar) * axis + math.sin(polar) * outwards).tolist()
+            deviations = [
+                radial * (math.cos(polar) * outwards - math.sin(polar) * axis),
+                tangential * (math.cos(azimuth) * bitangent - math.sin(azimuth) * tangent),
+            ]
+            power = self.power * share
+            result.append(Lobe((x, y, z), self.illuminant, power, np.stack(deviations)))
+        return result

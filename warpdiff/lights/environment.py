@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from annotated_types import Interval, Unit
 
-from warpdiff.core import forks, memory, openimageio, validation
+from warpdiff.core import files, forks, memory, openimageio, validation
 from warpdiff.core.caching import LruCache
-from warpdiff.core.files import check_file
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.lights.base import MOST_POWER, Light, Lobe, orthonormal_pair
+from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
 from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, linear, maps_of
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import Spectrum, colour_science
@@ -24,8 +23,12 @@ from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.lights.light_pass import LightPass, PassContext
+    from warpdiff.optics.coherence import Coherence
 
 
 # Of radiances: squares of colours are float32.
@@ -34,8 +37,8 @@ _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Directions at a tolerance of 1: the error falls about as their number grows.
 _DIRECTIONS_AT_ONE = 820.0
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
-# Limit: sets of lobes that an environment keeps, one for each window and number of directions, of 7 MB each.
-_MOST_LOBES = 4
+# Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
+_MOST_PARTS = 4
 _NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
@@ -82,8 +85,8 @@ class Environment(Checked, Light):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # Lobes hold arrays on devices, which neither copies nor other processes share.
-        return {name: value for name, value in vars(self).items() if name != "_lobes"}
+        # Parts hold arrays on devices, which neither copies nor other processes share.
+        return {name: value for name, value in vars(self).items() if name != "_parts"}
 
     @classmethod
     def load(
@@ -104,7 +107,7 @@ class Environment(Checked, Light):
             ValueError: The file is not such an image.
         """
         file = validation.path(path, "path")
-        check_file(file)
+        files.check_file(file)
         with openimageio.in_use() as oiio:
             image = oiio.ImageInput.open(str(file))
             if image is None:
@@ -128,12 +131,8 @@ class Environment(Checked, Light):
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; export the image again")
             finally:
                 image.close()
-        try:
+        with files.holding("radiance_rgb", file):
             return cls(np.asarray(samples), rotation_deg=rotation_deg, scale=scale, directions=directions)
-        except ArgumentValueError as error:
-            raise ArgumentValueError(
-                error.marked.replace(ref("radiance_rgb"), f"{ref('path')}: {str(file)!r}", 1)
-            ) from None
 
     def background(self, view: View) -> NDArray[np.float32]:
         """The environment as a camera sees it, for ``background=`` of pictures.
@@ -170,9 +169,20 @@ class Environment(Checked, Light):
         return *maps_of(blurred_grids(grid)), suns
 
     @forks.cached_property
-    def _lobes(self) -> LruCache[tuple[Lobe, ...]]:
-        """Lobes by window and number of directions, so that pictures under this environment share their arrays."""
-        return LruCache(most=_MOST_LOBES)
+    def _parts(self) -> LruCache[tuple[LightPart, ...]]:
+        """Parts by window and number of directions, so that pictures under this environment share their arrays."""
+        return LruCache(most=_MOST_PARTS)
+
+    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs)
+        """Return the sky and the suns, which the environment keeps: see :class:`warpdiff.lights.base.Light`."""
+        if coherence.kind != "averaged" or coherence.sigma_um is None:
+            raise ArgumentValueError(
+                f"{ref(name)} must not be an Environment for {ref('coherence')} of kind {coherence.kind!r}; use an "
+                "averaged window"
+            )
+        count = self.directions or min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
+        make = functools.partial(_make_parts, self, coherence.sigma_um, count)
+        return self._parts.get_or_make((coherence.sigma_um, count), make)
 
 
 def rotated(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
@@ -182,21 +192,32 @@ def rotated(environment: Environment, rotation_deg: float, scale: float, directi
     return result
 
 
-def lobes_of_sky(environment: Environment, sigma_um: float, tolerance: float) -> tuple[Lobe, ...]:
-    """Return the lobes of an environment, which it keeps: its sky, and its suns.
+@dataclass(frozen=True, eq=False)
+class SkyPart(LightPart):
+    """The sky of an environment, without its suns, which illuminates from the whole hemisphere.
 
-    Args:
-        environment: The light.
-        sigma_um: Standard deviation of the windows [µm].
-        tolerance: Tolerance of the picture, which sets the number of directions unless the environment does.
+    Attributes:
+        maps: The maps.
     """
-    count = environment.directions or min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
-    make = functools.partial(_lobes_of_sky, environment, sigma_um, count)
-    return environment._lobes.get_or_make((sigma_um, count), make)
+
+    maps: SkyMaps
+    has_lobes = False
+    has_extent = True
+
+    def __post_init__(self) -> None:
+        # Frozen: these follow from the maps.
+        vars(self).update(spectra=self.maps.spectra, sample_count=self.maps.directions)
+
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass of the sky."""
+        # Lights are described, as for the command line's help, without loading Warp.
+        from warpdiff.lights.sky_pass import SkyPass
+
+        return SkyPass(self.maps, context)
 
 
-def _lobes_of_sky(environment: Environment, sigma_um: float, directions: int) -> tuple[Lobe, ...]:
-    """The lobes for windows of a deviation and a number of directions.
+def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
+    """Return the parts for windows of a standard deviation and a number of directions.
 
     Of radiance L from a solid angle dω comes ρ L dω 4πσ²/λ² (the absolute reflectance over ρ), so that L/λ² is what
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
@@ -215,14 +236,14 @@ def _lobes_of_sky(environment: Environment, sigma_um: float, directions: int) ->
             f"a smaller {ref('scale')}"
         )
     turn = math.radians(environment.rotation_deg)
-    sky = SkyMaps(primaries, powers.astype(np.float32), sides, blur, turn, directions)
-    result = [Lobe((0.0, 1.0, 0.0), primaries[1], 1.0, sky=sky)]
+    result: list[LightPart] = [SkyPart(SkyMaps(primaries, powers.astype(np.float32), sides, blur, turn, directions))]
     for sun, power in zip(suns, powers_of_suns, strict=True):
         x, y, z = sun.towards.tolist()
         to_light = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
         values = sum(float(c) * np.asarray(primary.values) for c, primary in zip(sun.rgb, primaries, strict=True))
         illuminant = Spectrum(_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
-        result.append(Lobe(to_light, illuminant, power, sun.deviation * orthonormal_pair(np.asarray(to_light))))
+        deviations = sun.deviation * orthonormal_pair(np.asarray(to_light))
+        result.append(LobeSet((Lobe(to_light, illuminant, power, deviations),)))
     return tuple(result)
 
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Interval, Unit
 
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Light, Lobe, check_illuminant, lobes_of
+from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, check_illuminant
 
 if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 
 @dataclass(frozen=True)
-class PointLight(Checked, Light):
+class PointLight(Checked, LobeLight):
     """Light from a point in the scene, equal in all directions; it falls off with the square of the distance.
 
     Attributes:
@@ -34,7 +34,6 @@ class PointLight(Checked, Light):
         super().__post_init__()
         check_illuminant(self.illuminant)
 
-
-@lobes_of.register(PointLight)
-def _lobes_of_point(light: PointLight, _sigma_um: float | None = None, **_: bool) -> list[Lobe]:
-    return [Lobe((0.0, 0.0, 1.0), light.illuminant, light.power, position=light.position)]
+    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:  # noqa: ARG002 (of discs)
+        """Return the single lobe of a position."""
+        return [Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position)]

@@ -15,7 +15,7 @@ import numpy as np
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.kernels import coefficient_sum
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.tables import coefficient_table, polar_grid
+from warpdiff.tables import coefficient_table, mip_layout, polar_grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,7 +86,7 @@ def look_up_multiply_adds(plan: Plan) -> float:
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     """Predicted multiply-adds of making a table."""
-    layout = polar_grid.layout_of(plan)
+    layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
     area = math.prod(heightfield.size_um)
@@ -99,5 +99,5 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
-    projection = layout.level0_rows * rings * powers * (powers + 2.0)
+    projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)
     return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_ROW_COLOUR * layout.rows * powers

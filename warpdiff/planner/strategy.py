@@ -22,7 +22,6 @@ from warpdiff.heightfield import diagnostics
 from warpdiff.kernels import refinement_levels
 from warpdiff.optics import reflectance_factors
 from warpdiff.planner import bounds, coordinate_search, cost_model, refusals, table_ladder, trial
-from warpdiff.planner.refusals import warn_outside
 from warpdiff.request.directions import DirectionRange, DirectionSample, hemisphere_pairs, order_rate, stratified
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
-
-__all__ = ["directions_of", "plan", "plan_for", "warn_outside"]
 
 # Cost of bounds over the cost of the plan that a search finds, by kind of coherence. Fitted: medians of 32 random calls
 # (docs/decisions/plans_and_tolerance.md).
@@ -203,12 +200,14 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
-def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample) -> Plan:
+def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
     """The plan from bounds, with the mean cost of some directions, where there are any."""
-    # Without a trial amplitudes are safer than powers, which cancel in float32, and take no longer.
-    method = trial.REFERENCE_METHOD if _method(request) == "auto" else _method(request)
-    plan = bounds.upper_bound_plan(request, direction_range, method=method, tolerance=request.tolerance)
-    plan = _with_basis(bounds.with_neighbours_of_darkness(plan), request, direction_range)
+    if _method(request) == "auto":
+        # Without a trial amplitudes are safer than powers, which cancel in float32, and take no longer.
+        upper = bounds.upper_bound_plan(
+            request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
+        )
+    plan = _with_basis(bounds.with_neighbours_of_darkness(upper), request, direction_range)
     if not len(sample):
         return plan
     rates = order_rate(request.heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)

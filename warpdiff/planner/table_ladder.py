@@ -10,7 +10,7 @@ from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.planner import cost_model
 from warpdiff.planner.coordinate_search import MIN_BRIGHT, SEARCH_SAFETY, predicted_error
 from warpdiff.request.plan import W_BASIS_STEP
-from warpdiff.tables import polar_grid
+from warpdiff.tables import mip_layout, polar_grid
 from warpdiff.tables.coefficient_table import LANES
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             replace(plan, rings_per_octave=rings, azimuths_per_width=azimuths_per_width, w_basis_size=w_basis_size)
         )
         table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
-        if polar_grid.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
+        if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             break
         if best is None:
             trial.update_floors(candidate)
@@ -106,7 +106,7 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, nee
     fitting = [
         k
         for k in larger
-        if polar_grid.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
+        if mip_layout.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
         <= polar_grid.MOST_MEGABYTES
     ]
     return fitting[-1] if fitting else None

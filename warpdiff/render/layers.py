@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.render.picture import Picture
+from warpdiff.scene.camera_rays import rays_for
 
 if TYPE_CHECKING:
     import warp as wp
@@ -20,7 +20,10 @@ def layers_of(
     surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
 ) -> dict[str, NDArray[Any]]:
     """The layers of a picture by name, see :attr:`warpdiff.Image.layers`."""
-    hit, face, place, normal = Picture(surface, view, smooth=smooth, device=device, threads=threads).central_hits()
+    rays = rays_for(surface, view, smooth=smooth, device=device, threads=threads)
+    rays.launch(rays.trace(0, 1))
+    pixels = rays.gbuffer.pixels
+    hit, face, place, normal = (getattr(pixels, name).numpy() for name in ("hit", "face", "place", "normal"))
     hit, face, place = hit != 0, face[hit != 0], place[hit != 0].astype(np.float64)
     shape = (view.height, view.width)
     result: dict[str, NDArray[Any]] = {}

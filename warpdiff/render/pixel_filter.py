@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core.threads import slices_of
-from warpdiff.image.image import lengths
+from warpdiff.image.error_model import lengths
 from warpdiff.kernels import structs
 from warpdiff.kernels.refinement_levels import (
     BRIGHTEST_SHARE,

@@ -1,136 +1,273 @@
-"""Adaptive supersampling: kernel calls that select pixels to subdivide, shade their cells, and compare levels."""
+"""Refinement: which pixels are subdivided into cells, to which level, and in which order.
+
+One loop serves both kinds of device. A :class:`TileExecutor` shades the cells: the host's threads look at counts
+between levels and end early, report progress and can be cancelled; a GPU decides by itself, as a recorded graph cannot
+ask the host.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import warp as wp
 
+from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import refinement_levels, subdivision
+from warpdiff.kernels.structs import Sampling
 from warpdiff.render import pixel_filter
-from warpdiff.render.gbuffer import BufferKind
+from warpdiff.render.tile_buffers import BufferKind
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from warpdiff.render.gbuffer import TileBuffers
-    from warpdiff.render.picture import Picture
+    from warpdiff.lights.light_pass import LightPass, RayBatch
+    from warpdiff.render.accumulators import Accumulators
+    from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import ColourLookup
 
-# Pixels of a slice.
+# Number of pixels per slice of a launch on the CPU (fitted: launches take a percent of the kernels' time).
 SLICE = 32_768
 
 
 @dataclass(frozen=True)
-class LightRefinement:
-    """A picture under one light, by one ray a pixel, and how its pixels are split.
+class RefinementPolicy:
+    """The rule by which pixels are subdivided.
 
     Attributes:
-        picture: The picture.
-        lookup: What colours are from.
-        lobes: Which of the picture's lobes it has.
-        colours: XYZ of pixels, before and after.
-        errors: What they err by, ‖ΔXYZ‖.
-        accumulators: Their coverage, which are illuminated, and through which an edge passes.
-        tolerance: From which errors, relative to the colour, pixels are split.
-        least: The level that all pixels are split to.
-        refine: Whether any are split further.
+        tolerance: Tolerance of the picture.
+        least_level: Level that all pixels are subdivided to.
+        refine: Whether pixels are subdivided further where their estimated errors ask for it.
     """
 
-    picture: Picture
-    lookup: ColourLookup
-    lobes: range
-    colours: wp.array
-    errors: wp.array
-    accumulators: Sequence[wp.array]
     tolerance: float
-    least: int
+    least_level: int
     refine: bool
 
     @property
-    def buffer_kind(self) -> BufferKind:
-        """The arrays that cells take."""
-        return BufferKind(self.lookup.needs_sampling, self.picture.pigmented, self.picture.has_materials)
-
-    @property
     def subdivides(self) -> bool:
-        """Whether any pixels are split."""
-        return self.refine or self.least > 0
+        """Whether any pixels are subdivided."""
+        return self.refine or self.least_level > 0
 
-    def _threshold(self, level: int, *, converged: bool = False) -> float:
-        """From which errors pixels at a level are split, or those that had converged and take cells of others."""
+    def threshold(self, level: int, *, converged: bool = False) -> float:
+        """Return the relative error from which pixels of a level are subdivided, or those that had converged."""
         last = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
         if not self.refine or level >= last:
             return np.inf
         return self.tolerance if converged else pixel_filter.threshold_at(level, self.tolerance)
 
-    def _must_subdivide(self, level: int) -> tuple[bool, int]:
-        """Whether all pixels are split beyond a level, and to which the rims are."""
-        return level < self.least, pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
+    def must_subdivide(self, level: int) -> bool:
+        """Whether all pixels are subdivided beyond a level."""
+        return level < self.least_level
+
+    @property
+    def silhouette_level(self) -> int:
+        """Level that pixels at silhouettes are subdivided to at least."""
+        return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
+
+
+@dataclass(frozen=True)
+class LightRefinement:
+    """One light of a picture whose pixels are refined: its colours by one ray per pixel, and the kernel calls.
+
+    Attributes:
+        light_pass: The pass of the light.
+        lookup: The look-up of its colours.
+        batch: The pixels' own rays under its last lobe.
+        sums: Its colours, errors and illuminated pixels, before and after.
+        policy: The rule.
+        is_first: Whether it is the first light of the picture.
+    """
+
+    light_pass: LightPass
+    lookup: ColourLookup
+    batch: RayBatch
+    sums: Accumulators
+    policy: RefinementPolicy
+    is_first: bool
+
+    @property
+    def buffer_kind(self) -> BufferKind:
+        """The arrays that cells require."""
+        context = self.light_pass.context
+        return BufferKind(self.lookup.needs_sampling, context.is_pigmented, context.has_materials)
+
+    @property
+    def _resolved(self) -> list[wp.array]:
+        """What the cells of a level set."""
+        return [self.sums.xyz, self.sums.errors, self.sums.coverage, self.sums.illuminated, self.sums.edges]
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
-        """The call that estimates the error of every pixel by one ray, and says which are to be split."""
-        gbuffer = self.picture.gbuffer
-        unevenness = subdivision.Unevenness()
-        unevenness.scattering_vectors, unevenness.mirrored = gbuffer.scattering_vectors, gbuffer.to_lights
-        unevenness.estimates = self.picture.estimates_of(self.lobes)
+        """Return the call that estimates the error of every pixel by one ray, and marks those to subdivide."""
+        rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            self.colours, unevenness, gbuffer.pixels.hit, self.picture.rays.width, floor, self._threshold(0),
-            self.least > 0, self.refine,
+            self.sums.xyz, self.light_pass.unevenness(self.batch), self.batch.gbuffer.pixels.hit, rays.width, floor,
+            policy.threshold(0), policy.must_subdivide(0), policy.refine,
         ]  # fmt: skip
-        return KernelCall(subdivision.estimate_errors, inputs, [self.errors, marks], in_runs=True)
+        return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
-    def splat_cells(self, level: int, buffers: TileBuffers, sums: Any, *, shadows: bool) -> list[KernelCall]:
-        """The calls that shade the cells in the buffers and splat them to the pixels around."""
-        gbuffer, means, name = buffers.gbuffer, self.lookup.uses_footprints, self.picture.rays.options["device"].alias
-        steps = self.picture.cell_calls(self.lookup, self.lobes, level, buffers, shadows=shadows)
-        weights = pixel_filter.weights_at(level, means, name)
+    def shade_cells(self, level: int, buffers: TileBuffers, sums: Any, *, shadows: bool) -> list[KernelCall]:
+        """Return the calls that trace and shade the cells in the buffers, and splat them to the pixels around."""
+        rays, batch = self.light_pass.context.rays, buffers.batch(level)
+        device = rays.options["device"].alias
+        sampling = Sampling()
+        sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
-            buffers.colours, gbuffer.pixels.hit, self.picture.occlusion_of(gbuffer, self.lobes, shadows=shadows),
-            gbuffer.gains, buffers.tiles[level], self.colours, self.errors, sums.ranks, weights, level,
+            batch.xyz, batch.gbuffer.pixels.hit, self.light_pass.occlusion(batch.samples, shadows=shadows),
+            batch.samples.gains, buffers.tiles[level], self.sums.xyz, self.sums.errors, sums.ranks,
+            pixel_filter.weights_at(level, self.lookup.uses_footprints, device), level,
         ]  # fmt: skip
         outputs = [
             sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_unlit_quadrant, sums.has_edge,
         ]  # fmt: skip
+        splat = KernelCall(
+            subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
+        )
         return [
-            *steps,
-            KernelCall(subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)),
-        ]
+            *rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup, shadows=shadows), splat,
+        ]  # fmt: skip
 
     def resolve_pixels(self, level: int, sums: Any, pixels: wp.array, floor: wp.array, marks: wp.array) -> KernelCall:
-        """The call that sets pixels to the sums of the cells around, and compares these with the level before."""
-        rays = self.picture.rays
+        """Return the call that sets pixels to the sums of the cells around, and compares them with the level before."""
+        rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            sums, pixels, rays.width, rays.height, floor, self._threshold(level),
-            self._threshold(level, converged=True), level, *self._must_subdivide(level),
+            sums, pixels, rays.width, rays.height, floor, policy.threshold(level),
+            policy.threshold(level, converged=True), level, policy.must_subdivide(level), policy.silhouette_level,
         ]  # fmt: skip
-        return KernelCall(
-            subdivision.resolve_pixels, inputs, [self.colours, self.errors, *self.accumulators, marks], in_runs=True
-        )
+        return KernelCall(subdivision.resolve_pixels, inputs, [*self._resolved, marks], in_runs=True)
 
     def select_cells(
         self, level: int, sums: Any, tiles: wp.array, floor: wp.array, marks: wp.array, chosen: wp.array
     ) -> KernelCall:
-        """The call that says which pixels are split again."""
-        rays = self.picture.rays
+        """Return the call that selects the tiles that are subdivided again."""
+        rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            sums, tiles, marks, self.colours, self.accumulators[0], rays.width, rays.height, floor,
-            self._threshold(level), level, *self._must_subdivide(level),
+            sums, tiles, marks, self.sums.xyz, self.sums.coverage, rays.width, rays.height, floor,
+            policy.threshold(level), level, policy.must_subdivide(level), policy.silhouette_level,
         ]  # fmt: skip
         return KernelCall(subdivision.select_cells, inputs, [chosen], in_runs=True)
 
-    def empty_tile_sums(self, pixels: int) -> Any:
-        """The struct ``FilteredSums`` of the kernels for so many pixels that are split."""
-        device = self.picture.rays.options["device"]
+    def empty_tile_sums(self, tiles: int) -> Any:
+        """Return the struct ``FilteredSums`` of the kernels for a number of tiles."""
+        device = self.sums.xyz.device
         result = subdivision.FilteredSums()
-        result.filtered_sums = wp.empty((pixels, 9), dtype=wp.vec4f, device=device)
-        result.means = wp.empty(pixels, dtype=wp.vec3f, device=device)
-        result.level_difference = wp.empty(pixels, dtype=wp.float32, device=device)
-        result.levels, result.has_unlit_quadrant = (wp.empty(pixels, dtype=wp.uint8, device=device) for _ in range(2))
-        result.has_edge = wp.empty(pixels, dtype=wp.bool, device=device)
+        result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
+        result.means = wp.empty(tiles, dtype=wp.vec3f, device=device)
+        result.level_difference = wp.empty(tiles, dtype=wp.float32, device=device)
+        result.levels, result.has_unlit_quadrant = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
+        result.has_edge = wp.empty(tiles, dtype=wp.bool, device=device)
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
         result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookup.uses_footprints, device.alias)
         return result
+
+
+@dataclass
+class TileGroup:
+    """Pixels that are subdivided together.
+
+    Attributes:
+        pixels: Pixels to resolve; empty is all of the picture.
+        tiles: Tiles of the last level; empty is all of the picture that are chosen.
+        sums: What their cells give, the struct ``FilteredSums`` of the kernels.
+        chosen: By pixel of the picture, whether its tile is subdivided next.
+        share: Beginning and end of the group as shares of the light's progress.
+    """
+
+    pixels: wp.array
+    tiles: wp.array
+    sums: Any
+    chosen: wp.array
+    share: tuple[float, float]
+
+
+class TileExecutor(Protocol):
+    """What shades the tiles that the loop asks for.
+
+    Attributes:
+        floor: Luminance that errors are relative to at least, (1,).
+        marks: By pixel, whether it is active, converged or neither.
+        makes_previews: Whether coarser pictures may be completed on the way.
+    """
+
+    floor: wp.array
+    marks: wp.array
+    makes_previews: bool
+
+    @property
+    def count(self) -> int:
+        """Number of pixels that were subdivided, of the light of which these are most."""
+
+    def keep_tiles(self, *, keep: bool) -> None:
+        """Forget what tiles gave, and from now on keep it for finer tolerances, or do not."""
+
+    def begin(self, light: LightRefinement) -> None:
+        """Begin a light at a tolerance: find the floor."""
+
+    def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
+        """Yield the groups of the marked pixels, whose tiles are those pixels and the ones around."""
+
+    def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
+        """Shade the cells of a group's tiles at a level, and splat them to the pixels around."""
+
+    def launch(self, call: KernelCall, elements: wp.array) -> None:
+        """Launch a call over pixels or tiles; an empty array is the whole picture."""
+
+    def has_chosen(self, group: Any) -> bool:
+        """Reduce a group to its chosen tiles; whether there are any, as far as the executor can know."""
+
+    def end(self, light: LightRefinement) -> None:
+        """End a light."""
+
+
+class RefinementLoop:
+    """The order in which the pixels of a picture are refined, light after light.
+
+    Attributes:
+        tiles: What shades the tiles.
+    """
+
+    def __init__(self, tiles: TileExecutor) -> None:
+        self.tiles = tiles
+
+    def run(
+        self, light: LightRefinement, progress: Callable[[float], None] | None,
+        previews: Sequence[tuple[float, Callable[[], None]]] = (),
+    ) -> None:  # fmt: skip
+        """Refine a light until no pixel is active.
+
+        The picture meets the larger tolerances of ``previews`` first, and calls the function beside each. The final
+        picture is the same to the bit: each begins from pixels of one ray, but finds the tiles again that there are.
+        """
+        previews = previews if self.tiles.makes_previews else ()
+        unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
+        tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
+        self.tiles.keep_tiles(keep=len(previews) > 0)
+        for index, tolerance in enumerate(tolerances):
+            part = subprogress(progress, index / len(tolerances), (index + 1) / len(tolerances))
+            policy = replace(light.policy, tolerance=tolerance)
+            self._subdivide(replace(light, policy=policy), part)
+            if index < len(previews):
+                previews[index][1]()
+                for array, values in zip(light._resolved, unrefined, strict=True):
+                    array.numpy()[:] = values
+
+    def _subdivide(self, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
+        tiles = self.tiles
+        tiles.begin(light)
+        tiles.launch(light.estimate_errors(tiles.floor, tiles.marks), tiles.marks)
+        for group in tiles.groups(light) if light.policy.subdivides else ():
+            first, last = group.share
+            for level in refinement_levels.LEVELS:
+                begin, end = (first + (last - first) * (level - done) / refinement_levels.MOST_LEVEL for done in (1, 0))
+                tiles.shade(level, group, light, subprogress(progress, begin, end))
+                tiles.launch(
+                    light.resolve_pixels(level, group.sums, group.pixels, tiles.floor, tiles.marks), group.pixels
+                )
+                if level < refinement_levels.MOST_LEVEL:
+                    select = light.select_cells(level, group.sums, group.tiles, tiles.floor, tiles.marks, group.chosen)
+                    tiles.launch(select, group.tiles)
+                    if not tiles.has_chosen(group):
+                        break
+        tiles.end(light)

@@ -15,13 +15,14 @@ from warpdiff.core import validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
-from warpdiff.planner.strategy import directions_of, warn_outside
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
     PictureInputs,
     check_light_sizes,
     listed,
-    lobes_for,
+    parts_of,
     picture_memory,
     require_picture_memory,
     warn_unconverged,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import Light, Lobe
+    from warpdiff.lights.base import Light, LightPart
     from warpdiff.render.picture import Picture
     from warpdiff.request.keywords import PictureKeywords
     from warpdiff.scene.mesh_import import Surface
@@ -117,7 +118,7 @@ class Renderer:
             self._recorded = records(evaluation.device)
             self._mine = _ThreadPicture(
                 functools.partial(inputs.picture, surface, view, device_driven=self._recorded or None),
-                inputs.lobes,
+                inputs.parts,
                 view,
             )
         self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
@@ -189,10 +190,10 @@ class Renderer:
         if mine.is_drawing:
             raise RuntimeError("draw() was called from its own progress or previews callable: call it afterwards")
         steps = self._preview_steps(mine, previews)
-        evaluation, lobes = self._inputs.evaluation, mine.lobes
+        evaluation, parts = self._inputs.evaluation, mine.parts
         if lights is not None:
-            lobes = lobes_for(listed(lights), evaluation, refine=self._inputs.settings.refine)
-        check_light_sizes(lobes, evaluation.coherence, means=self.plan.uses_footprints)
+            parts = parts_of(listed(lights), evaluation, refine=self._inputs.settings.refine)
+        check_light_sizes(parts, evaluation.coherence, means=self.plan.uses_footprints)
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
@@ -205,8 +206,8 @@ class Renderer:
             if view is not None:
                 mine.view = view
                 mine.picture.set_view(view)
-            mine.lobes, mine.is_drawn = lobes, False
-            self._inputs.set_lights(mine.picture, lobes)
+            mine.parts, mine.is_drawn = parts, False
+            mine.picture.set_lights(parts)
             mine.is_drawing = True
             try:
                 if self._recorded:
@@ -268,23 +269,23 @@ class Renderer:
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
         """Launch the kernels of a picture."""
-        mine.picture.integrate(
+        mine.picture.render(
             self._lookup, tolerance=self.plan.tolerance, refine=self._inputs.settings.refine, progress=progress,
             previews=previews,
         )  # fmt: skip
 
     def _replay(self, mine: _ThreadPicture) -> None:
         """Launch it as it was recorded, where the same launches will do."""
-        needed = (*mine.picture.launches_depend_on, *(name for lobe in mine.lobes for name in lobe.illuminants))
+        needed = mine.picture.graph_key
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
             return
         # Arrays of the last one may go.
         mine.graph = None
         # What ran once finds its kernels loaded and its arrays and tables made.
-        mine.picture.invalidate_gbuffer()
+        mine.picture.invalidate()
         self._launch(mine)
-        mine.picture.invalidate_gbuffer()
+        mine.picture.invalidate()
         with wp.ScopedCapture(device=self._inputs.evaluation.device, force_module_load=False) as capture:
             self._launch(mine)
         mine.graph, mine.graph_is_for = capture.graph, needed
@@ -301,7 +302,7 @@ class _ThreadPicture(threading.local):
 
     Attributes:
         picture: Its arrays.
-        lobes: Lobes of the last lights.
+        parts: Parts of the last lights.
         view: The last view.
         is_drawn: Whether the picture is complete.
         is_drawing: Whether it is being drawn.
@@ -310,8 +311,8 @@ class _ThreadPicture(threading.local):
         graph_is_for: The key of the recorded graph.
     """
 
-    def __init__(self, make: Callable[[], Picture], lobes: list[Lobe], view: View) -> None:
-        self.picture, self.lobes, self.view, self.is_drawn, self.tolerance = make(), lobes, view, False, 0.0
+    def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
+        self.picture, self.parts, self.view, self.is_drawn, self.tolerance = make(), parts, view, False, 0.0
         self.is_drawing = False
         self.graph: Any = None
         self.graph_is_for: tuple[Any, ...] = ()

@@ -13,11 +13,11 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import Light, Lobe, lobes_of
-from warpdiff.lights.environment import Environment, lobes_of_sky
-from warpdiff.optics import colorimetry
+from warpdiff.lights.base import Light
+from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.planner.strategy import directions_of, plan_for, warn_outside
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.layers import layers_of
 from warpdiff.render.picture import Picture, load_kernels
 from warpdiff.request.evaluation import Evaluation
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
+    from warpdiff.lights.base import LightPart
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.keywords import SinglePictureKeywords
@@ -94,29 +95,28 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     """Render a prepared mesh by a plan for the directions of its pixels."""
     evaluation = inputs.evaluation
     picture = inputs.picture(surface, view)
-    inputs.set_lights(picture, inputs.lobes)
-    if any(lobe.sky is not None for lobe in inputs.lobes):
+    picture.set_lights(inputs.parts)
+    count: float
+    if all(part.has_lobes for part in inputs.parts):
+        direction_range, sample, count = picture.measure_directions(evaluation.heightfield)
+    else:
         # A sky illuminates from the whole hemisphere.
         direction_range, sample, count = directions_of(evaluation)
-    else:
-        direction_range, count, sample = picture.measure_directions(evaluation.heightfield, evaluation.coherence)
     if evaluation.plan is not None:
         warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
     plan = inputs.planned(direction_range, sample, count)
     if plan.method == "direct":
-        picture.sum_directly(evaluation.heightfield, plan, progress=progress)
+        picture.render_directly(evaluation.heightfield, plan, progress=progress)
     else:
         lookup = ColourLookup(
             evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
-        picture.integrate(lookup, tolerance=plan.tolerance, refine=inputs.settings.refine, progress=progress)
+        picture.render(lookup, tolerance=plan.tolerance, refine=inputs.settings.refine, progress=progress)
     return picture.image(plan)
 
 
 # What a picture takes while it is made, as measured, of any kind.
 _BYTES_PER_PIXEL = 210
-# The share of the pixels that may err by more than the tolerance, and of those at edges by more than theirs.
-_MOST_UNCONVERGED, _MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
 @dataclass(frozen=True)
@@ -127,13 +127,13 @@ class PictureInputs:
         evaluation: The evaluation that colours come from.
         settings: The settings of the call.
         lights: The lights.
-        lobes: The lobes of the lights.
+        parts: The parts of the lights.
     """
 
     evaluation: Evaluation
     settings: PictureSettings
     lights: list[Light]
-    lobes: list[Lobe]
+    parts: list[LightPart]
 
     @classmethod
     def of(cls, heightfield: Any, lights: Any, view: Any, settings: PictureSettings) -> PictureInputs:
@@ -141,7 +141,7 @@ class PictureInputs:
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(heightfield, settings, by_geometry=True, footprint=footprint)
         lights = listed(lights)
-        lobes = lobes_for(lights, evaluation, refine=settings.refine)
+        parts = parts_of(lights, evaluation, refine=settings.refine)
         validation.instance(view, View, "view")
         require_picture_memory(view, evaluation.device)
         most = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
@@ -150,21 +150,27 @@ class PictureInputs:
                 f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
                 f"{ref('footprint', False)} accepts more"
             )
-        check_light_sizes(lobes, evaluation.coherence, means=footprint)
+        check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        spectra = [name for lobe in lobes for name in lobe.illuminants]
+        spectra = [name for part in parts for name in part.spectra]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
-        return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, lobes)
+        return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
 
     def picture(self, surface: Surface, view: View, **options: Any) -> Picture:
         """Return the arrays of a picture."""
         footprint, settings = self.evaluation.footprint, self.settings
         # The filters of the outermost pixels cover cells beyond the picture's edge.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
+        energy, size_um = self.evaluation.energy_factors, self.evaluation.heightfield.size_um
+        optics = SurfaceOptics(
+            self.evaluation.coherence, size_um[0] * size_um[1], self.evaluation.normal_reflectance,
+            tuple(self.evaluation.materials.values()), self.evaluation.masking,
+            None if energy is None else energy.values, settings.pigment, settings.shadows,
+        )  # fmt: skip
         return Picture(
-            surface, view, smooth=settings.smooth, samples=settings.samples_per_pixel, means=footprint, margin=margin,
-            materials_of_faces=self.materials_of_faces(surface), device=self.evaluation.device,
-            threads=self.evaluation.threads, **options,
+            surface, view, optics, smooth=settings.smooth, samples_per_pixel=settings.samples_per_pixel,
+            means=footprint, margin=margin, materials_of_faces=self.materials_of_faces(surface),
+            device=self.evaluation.device, threads=self.evaluation.threads, **options,
         )  # fmt: skip
 
     def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:
@@ -189,9 +195,9 @@ class PictureInputs:
         """
         evaluation = self.evaluation
         plan = evaluation.plan or plan_for(evaluation, direction_range, sample, count)
-        if not plan.uses_footprints and any(lobe.has_extent for lobe in self.lobes):
+        if not plan.uses_footprints and any(part.has_extent for part in self.parts):
             method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
-            if any(lobe.deviations is not None for lobe in self.lobes):
+            if any(part.has_lobes and part.has_extent for part in self.parts):
                 by_table = replace(
                     evaluation, plan=None, method=method, integration="table", tolerance=plan.tolerance, strict=False
                 )
@@ -203,21 +209,10 @@ class PictureInputs:
                 plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
         return evaluation.with_energy(plan)
 
-    def set_lights(self, picture: Picture, lights: list[Lobe]) -> None:
-        """Set a picture's lights."""
-        evaluation, energy = self.evaluation, self.evaluation.energy_factors
-        area_um2 = evaluation.heightfield.size_um[0] * evaluation.heightfield.size_um[1]
-        picture.set_lights(
-            lights, evaluation.coherence, area_um2, normal=evaluation.normal_reflectance,
-            materials=tuple(evaluation.materials.values()), masking=evaluation.masking,
-            energy=None if energy is None else energy.values, pigment=self.settings.pigment,
-            shadows=self.settings.shadows,
-        )  # fmt: skip
-
     def refined(self, *, refine: bool) -> PictureInputs:
-        """Return these inputs with another choice of refinement, on which the lobes of discs depend."""
+        """Return these inputs with another choice of refinement, on which the parts of discs depend."""
         settings = replace(self.settings, refine=refine)
-        return replace(self, settings=settings, lobes=lobes_for(self.lights, self.evaluation, refine=refine))
+        return replace(self, settings=settings, parts=parts_of(self.lights, self.evaluation, refine=refine))
 
 
 def require_picture_memory(view: View, device: wp.Device) -> None:
@@ -240,21 +235,19 @@ def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
 
 def warn_unconverged(image: Image) -> None:
     """Warn of a picture that does not meet its tolerance."""
-    plan = image.plan
-    if plan is None:
-        return
-    if plan.unconverged_share > _MOST_UNCONVERGED or plan.unconverged_edge_share > _MOST_UNCONVERGED_EDGES:
+    report = image.report
+    if report is not None and not report.is_converged:
         warn(
-            f"{100.0 * plan.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
-            f"{ref('tolerance', plan.tolerance)}, and {100.0 * plan.unconverged_edge_share:.2g} % of those at edges to "
-            "exceed three times the tolerance: see image.error; render a larger picture, move the camera closer, or "
-            "give an Environment more directions"
+            f"{100.0 * report.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
+            f"{ref('tolerance', report.tolerance)}, and {100.0 * report.unconverged_edge_share:.2g} % of those at "
+            "edges to exceed three times the tolerance: see image.error; render a larger picture, move the camera "
+            "closer, or give an Environment more directions"
         )
 
 
-def check_light_sizes(lights: Sequence[Lobe], coherence: Coherence, *, means: bool) -> None:
+def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means: bool) -> None:
     """Refuse lights with an extent where the coherence has one, or where pixels show no means over directions."""
-    if not any(lobe.has_extent for lobe in lights):
+    if not any(part.has_extent for part in parts):
         return
     if coherence.kind == "source":
         raise ArgumentValueError(
@@ -280,21 +273,12 @@ def listed(lights: Any) -> list[Any]:
     return list(several)
 
 
-def lobes_for(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> list[Lobe]:
-    """Return the lobes of lights, which are checked; without refinement a disc is a single lobe where possible."""
-    coherence = evaluation.coherence
+def parts_of(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
+    """Return the parts of lights, which are checked; without refinement a disc is a single lobe where possible."""
     tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
-    result: list[Lobe] = []
+    result: list[LightPart] = []
     for index, light in enumerate(lights):
-        if isinstance(light, Environment):
-            if coherence.kind != "averaged" or coherence.sigma_um is None:
-                raise ArgumentValueError(
-                    f"{ref(f'lights[{index}]')} must not be an Environment for {ref('coherence')} of kind "
-                    f"{coherence.kind!r}; use an averaged window"
-                )
-            result += lobes_of_sky(light, coherence.sigma_um, tolerance)
-            continue
-        validation.instance(light, Light, f"lights[{index}]")
-        colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
-        result += lobes_of(light, coherence.sigma_um, single_lobe=not refine)
+        name = f"lights[{index}]"
+        validation.instance(light, Light, name)
+        result += light.parts(evaluation.coherence, tolerance=tolerance, single_lobe=not refine, name=name)
     return result

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import html
+import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core import files, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
@@ -18,8 +19,14 @@ from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
 from warpdiff.request.directions import DirectionRange
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterable
+    from pathlib import Path
 
+# Format of saved plans, which counts up as soon as a field changes its name or meaning.
+_FORMAT = "warpdiff plan 1"
+# Limit of the size of a file that is read as a plan.
+_MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
 LABELS = {
@@ -48,8 +55,8 @@ _NUMBERS = (
 )  # fmt: skip
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 _FINDINGS = (
-    "light_sample_count", "refined_share", "unconverged_share", "unconverged_edge_share", "errors", "energy_spread",
-    "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds", "is_measured", "validation_size",
+    "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds", "is_measured",
+    "validation_size",
 )  # fmt: skip
 
 
@@ -79,13 +86,6 @@ class Plan:
             tolerance.
         footprint: Whether pixels show means over their range of (u, v): from mip levels of the table where powers add,
             otherwise from many points.
-        light_sample_count: Number of directions and Gaussian lobes that represent a picture's lights.
-        refined_share: Share of a picture's covered pixels that were subdivided; for several lights, the largest.
-        unconverged_share: Share of the illuminated interior pixels whose estimated error exceeds the tolerance; 0
-            without refinement, which guarantees nothing.
-        unconverged_edge_share: Share of the pixels at edges, of the mesh or of shadows, whose estimated error exceeds
-            three tolerances.
-        errors: Median and 99th percentile of the estimated errors of the illuminated pixels; 0 for directions.
         energy_spread: Root mean square deviation of the reflected power of single wavelengths and directions from the
             incident power where energy is normalised; not part of ``error``. 0 for ``energy="stam"``.
         max_uv: Largest |(u, v)| that the numbers are valid for.
@@ -123,11 +123,6 @@ class Plan:
     azimuths_per_width: float
     w_basis_size: int
     footprint: bool
-    light_sample_count: int
-    refined_share: float
-    unconverged_share: float
-    unconverged_edge_share: float
-    errors: tuple[float, float]
     energy_spread: float
     max_uv: float
     max_order_rate: float
@@ -177,15 +172,11 @@ class Plan:
             )
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
-        for name in {*_ERRORS, *_FINDINGS} - {"errors", "is_measured", "validation_size", "light_sample_count"}:
+        for name in {*_ERRORS, *_FINDINGS} - {"is_measured", "validation_size"}:
             # Bounds of what diverges are of any size.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
-        errors = validation.finite_array(self.errors, "errors")
-        if errors.shape != (2,):
-            raise ArgumentValueError(f"{ref('errors')} must be a pair of numbers, got {self.errors!r}")
         validation.flag(self.is_measured, "is_measured")
         validation.count(self.validation_size, "validation_size", least=0)
-        validation.count(self.light_sample_count, "light_sample_count", least=0)
         bandwidth = validation.finite_array(self.bandwidth_um, "bandwidth_um", most=validation.MOST)
         if bandwidth.shape != (3,) or bandwidth.min() < 0.0 or bandwidth[2] == 0.0:
             raise ArgumentValueError(
@@ -223,7 +214,7 @@ class Plan:
 
     @property
     def findings(self) -> dict[str, Any]:
-        """Findings on the surface, the search and the picture, by field."""
+        """Findings on the surface and the search, by field."""
         return self._view(_FINDINGS)
 
     def _view(self, names: Iterable[str]) -> dict[str, Any]:
@@ -257,62 +248,128 @@ class Plan:
         return f"Plan({self.method}, {self.coherence}, tolerance {self.tolerance:g}, error {self.error:.1e}{size})"
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(str(self))}</p>"
+        return f"<pre>{html.escape(str(self))}</pre>"
 
-    def __str__(self) -> str:
+    @property
+    def verdict(self) -> str:
+        """Whether results by this plan can be trusted, in a sentence."""
         if self.method == "direct":
-            sums = f"Direct sum over the height samples in float64, {self.coherence}"
-            return f"{sums}: exact up to the integral over λ. {self._scalar}"
+            exact = "the direct sum is exact up to the integral over λ"
+            return f"The plan meets its tolerance of {self.tolerance:g}: {exact}."
         how = "typical of its bounds"
         if self.is_measured:
             how = f"measured on {self.validation_size} validation directions"
-        start = (
-            f"{LABELS[self.method]}, {self.coherence}, tolerance {self.tolerance:g}, for |(u, v)| up to "
-            f"{self.max_uv:.3g} and |w| {self.min_w:.3g} to {self.max_w:.3g}. Predicted error {self.error:.1e}, {how}: "
-            f"{self.terms} terms, truncation error {self.truncation:.1e}"
+        meets = "meets" if self.error <= self.tolerance else "does not meet"
+        return f"The plan {meets} its tolerance of {self.tolerance:g}: predicted error {self.error:.1e}, {how}."
+
+    def __str__(self) -> str:
+        rows = {"coherence": str(self.coherence)}
+        if self.method == "direct":
+            rows["method"] = "direct sum over the height samples in float64"
+        else:
+            rows |= {
+                "method": f"{LABELS[self.method]}, {self.terms} terms",
+                "directions": f"|(u, v)| up to {self.max_uv:.3g}, |w| {self.min_w:.3g} to {self.max_w:.3g}",
+            }
+            if self.coherence.kind != "replicas":
+                rows["neighbours"] = f"those of weight {self.least_weight:.1e} or more"
+            rows |= self._integration_rows()
+            rows["predicted errors"] = ", ".join(f"{name} {error:.1e}" for name, error in self.predicted_errors.items())
+            rows["cost"] = (
+                f"{self.multiply_adds:.2g} multiply-adds per direction, {self.microseconds:.2g} µs on one core"
+                + (f", after {self.table_seconds:.2g} s for the table" if self.rings_per_octave else "")
+            )
+        if self.energy_spread:
+            rows["energy"] = (
+                "Energy is normalised over all wavelengths together; the reflected power of single wavelengths "
+                f"deviates by {self.energy_spread:.2g}"
+            )
+        rows["aliasing"] = (
+            f"{self.aliasing:.1e} of the power of the steepest directions lies beyond the pitch's Nyquist limit"
         )
-        parts = [start]
-        if self.coherence.kind != "replicas":
-            parts.append(f"neighbours of weight {self.least_weight:.1e} or more, error {self.neighbourhood:.1e}")
+        rows["scalar diffraction"] = diagnostics.scalar_error_text(self.scalar_error)
+        return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
+
+    def _integration_rows(self) -> dict[str, str]:
+        """Return the row on the integral over λ; a spectrum has none."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
             pixels = ", mip levels for footprints" if self.uses_footprints else ""
-            parts.append(f"polar colour table ({grid}{shared}{pixels}), error {self.quadrature:.1e}")
-        elif self.wavelengths:
-            spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
-            asides = [f"each divided by {self.subdivisions} for the periods' factor"] if self.subdivisions > 1 else []
-            asides += ["fewer for directions of less bandwidth"] if self.adaptive else []
-            aside = f" ({', '.join(asides)})" if asides else ""
-            sampling = f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"
-            parts.append(f"{sampling}, error {self.quadrature:.1e}")
-        parts.append(f"float32 rounding {self.rounding:.1e}")
-        if self.light_sample_count > 1:
-            parts.append(f"{self.light_sample_count} directions represent the lights")
-        if self.refined_share:
-            parts.append(f"{100.0 * self.refined_share:.3g} % of the pixels were subdivided")
-            if self.unconverged_share:
-                parts.append(f"{100.0 * self.unconverged_share:.2g} % of them are expected to exceed the tolerance")
-        beyond = "of the power of the steepest directions lies beyond the pitch's Nyquist limit"
-        sentences = ["; ".join(parts), f"Aliasing: {self.aliasing:.1e} {beyond}"]
-        if any(self.errors):
-            sentences.append(
-                "Estimated errors of the illuminated pixels: median {:.1e}, 99th percentile {:.1e}".format(*self.errors)
-            )
-        if self.energy_spread:
-            sentences.append(
-                "Energy is normalised over all wavelengths together; the reflected power of single wavelengths "
-                f"deviates by {self.energy_spread:.2g}"
-            )
-        table = f", after {self.table_seconds:.2g} s for the table" if self.rings_per_octave else ""
-        sentences.append(
-            f"Cost: {self.multiply_adds:.2g} multiply-adds per direction, {self.microseconds:.2g} µs on one core{table}"
-        )
-        return f"{'. '.join(sentences)}. {self._scalar}"
+            return {"integral over λ": f"polar colour table: {grid}{shared}{pixels}"}
+        if not self.wavelengths:
+            return {}
+        spacing = "log λ" if self.coherence.kind == "source" else "1/λ"
+        asides = [f"each divided by {self.subdivisions} for the periods' factor"] if self.subdivisions > 1 else []
+        asides += ["fewer for directions of less bandwidth"] if self.adaptive else []
+        aside = f" ({', '.join(asides)})" if asides else ""
+        return {"integral over λ": f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"}
 
-    @property
-    def _scalar(self) -> str:
-        return f"Scalar diffraction: {diagnostics.scalar_error_text(self.scalar_error)}."
+    def to_json(self) -> str:
+        """Return the plan as JSON, from which :meth:`from_json` makes an equal plan."""
+        return json.dumps({"format": _FORMAT} | asdict(self), indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Plan:
+        """Return the plan of a text that :meth:`to_json` wrote.
+
+        Args:
+            text: JSON.
+
+        Raises:
+            ValueError: The text is damaged, or is no plan of this version; the message names the field.
+        """
+
+        def with_tuples(values: dict[str, Any]) -> dict[str, Any]:
+            return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+        if not isinstance(text, str):
+            raise ArgumentTypeError(f"{ref('text')} must be a string, got {type(text).__name__}")
+        names, of_coherence = ({field.name for field in fields(owner)} for owner in (cls, Coherence))
+        try:
+            entries = json.loads(text)
+            is_plan = entries.pop("format") == _FORMAT and set(entries) == names
+            is_plan = is_plan and set(entries["coherence"]) == of_coherence
+        except (ValueError, TypeError, AttributeError, KeyError):
+            is_plan = False
+        if not is_plan:
+            raise ArgumentValueError(
+                f"{ref('text')} must be a plan that Plan.to_json of this version wrote, got {text!r:.40}"
+            )
+        return cls(**with_tuples(entries | {"coherence": Coherence(**with_tuples(entries["coherence"]))}))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the plan to a JSON file, from which :meth:`load` reads an equal plan.
+
+        Args:
+            path: Target file, which ends in .json and is replaced if it exists.
+
+        Returns:
+            The path.
+        """
+        target = validation.path(path, "path")
+        if target.suffix.lower() != ".json":
+            raise ArgumentValueError(f"{ref('path')} must end in .json, got {str(path)!r}")
+        files.check_folder(target.parent, "path")
+        with files.atomic_write(target) as temporary:
+            temporary.write_text(self.to_json(), encoding="utf-8")
+        return target
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Plan:
+        """Read a plan from a JSON file that :meth:`save` wrote.
+
+        Args:
+            path: JSON file.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ValueError: The file is damaged, or was not written by :meth:`save`; the message names the field.
+        """
+        file = validation.path(path, "path")
+        text = files.read_text(file, _MOST_BYTES)
+        with files.holding("text", file):
+            return cls.from_json(text)
 
 
 def check_method(method: str, integration: str, coherence: Coherence) -> None:

@@ -17,7 +17,7 @@ from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics.colorimetry import srgb_decode
-from warpdiff.scene import mesh_files
+from warpdiff.scene import mesh_colours, mesh_files
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
     TextureGeometry,
@@ -46,8 +46,6 @@ HOW_TO_GET_TANGENTS = (
 
 # Labels of geometries begin with it.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
-# What Pillow's image holds of its own decoding.
-_DAMAGE = "warpdiff:damage"
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,67 +320,11 @@ def _take_colours(mesh: Any, part: _Part) -> None:
                 f"{ref('mesh')} must have one material per geometry, got face materials; split it by material, or bake "
                 "them into one texture"
             )
-        texture, colour = _material(visual.material)
+        texture, colour = mesh_colours.colours_of(visual.material)
         if texture is not None and part.uvs is not None:
             part.texture = texture
         elif colour is not None:
             part.colours = np.tile(colour, (len(part.vertices), 1))
-
-
-def _material(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.float64] | None]:
-    """A material's texture, shape (h, w, 3), and its plain colour, shape (3,), in linear RGB, each where defined."""
-    from trimesh.visual import DEFAULT_COLOR
-    from trimesh.visual.material import PBRMaterial, color_image
-
-    if isinstance(material, PBRMaterial):
-        # As in glTF, the factor is linear and multiplies the decoded texture.
-        factor = material.baseColorFactor
-        linear = None if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
-        if material.baseColorTexture is None:
-            return None, linear
-        texture = _image(material.baseColorTexture)
-        if texture is None or linear is None:
-            return texture, linear
-        return (texture * linear).astype(np.float32), None
-    image = getattr(material, "image", None)
-    if image is not None:
-        # trimesh gives a mesh without a material a few grey pixels for one.
-        invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
-        texture = None if invented else _image(image)
-        if invented or texture is not None:
-            return texture, None
-    diffuse = getattr(material, "diffuse", None)
-    if diffuse is None:
-        return None, None
-    colour = np.asarray(diffuse, dtype=np.float64)[:3] / 255.0
-    return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
-
-
-def _image(image: Any) -> NDArray[np.float32] | None:
-    """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
-    if damage := _damage(image):
-        texture = image.info.get("file_path") or "an image"
-        warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
-        return None
-    if image.mode.startswith("I"):
-        # 16-bit grey; converting it to RGB would clip at 255.
-        grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
-        return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # A table, for a megapixel's transfer function takes longer than all else here.
-    table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
-    return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
-
-
-def _damage(image: Any) -> str:
-    """Why a PIL image cannot be decoded, or nothing."""
-    if _DAMAGE not in image.info:
-        try:
-            image.load()
-            image.info[_DAMAGE] = ""
-        except Exception as error:
-            # Decoders raise whatever they stumble over, and the next time may pass with what they have got.
-            image.info[_DAMAGE] = str(error) or type(error).__name__
-    return str(image.info[_DAMAGE])
 
 
 def _join(parts: list[_Part]) -> _Part:

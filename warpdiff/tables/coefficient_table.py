@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,6 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core import disk_cache, memory
-from warpdiff.core.caching import LruCache
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ref
 from warpdiff.diffraction import coefficient_basis, fourier_coefficients, gridding_kernel
@@ -21,6 +19,7 @@ from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
 from warpdiff.kernels import coefficient_sum
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_table
+from warpdiff.tables.table_cache import TableCache
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,31 +46,6 @@ _ANGLES = 513
 # The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
 # itself and for each thread.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
-# What a height field keeps: a light or a view that moves asks for the same again, and a search for a few lengths; of
-# tables of colours, some for other lights and views, or a search's last attempts.
-_MOST_CACHED, _MOST_TABLE_BYTES = 4, 1e9
-_cache: weakref.WeakKeyDictionary[HeightField, _TableCache] = weakref.WeakKeyDictionary()
-
-
-class _TableCache:
-    """Coefficients of one height field, and their copies on devices, the last ones asked for."""
-
-    def __init__(self) -> None:
-        self.coefficients: LruCache[Coefficients] = LruCache(_MOST_CACHED)
-        # The series that the last basis was fitted to, until the next series is asked for, which may be the same.
-        self.fitted_to: LruCache[Coefficients] = LruCache(1)
-        self.rows: LruCache[tuple[Any, Any, Coefficients]] = LruCache(_MOST_CACHED)
-        self.prepared: LruCache[tuple[Any, dict[Any, Any]]] = LruCache(_MOST_CACHED)
-        self.spectra: LruCache[Any] = LruCache(1)
-        # With their sizes [MB].
-        self.colours: LruCache[tuple[Any, Any, float]] = LruCache(
-            most_bytes=_MOST_TABLE_BYTES, bytes_of=lambda entry: 1e6 * entry[2]
-        )
-
-
-def table_cache(heightfield: HeightField) -> _TableCache:
-    """Everything kept for a height field while it lives."""
-    return _cache.setdefault(heightfield, _TableCache())
 
 
 @dataclass(frozen=True)
@@ -100,6 +74,50 @@ class CoefficientRange:
             max(0.0, math.floor(4.0 * direction_range.min_w * 1e3 / longest - 0.1) / 4.0),
             math.ceil(2.0 * direction_range.max_w * 1e3 / shortest + 0.1) / 2.0,
         )
+
+
+@dataclass(frozen=True)
+class CoefficientsKey:
+    """What the coefficients of a height field depend on besides its heights.
+
+    Attributes:
+        block: The coefficients that are kept.
+        kappas: The range of |κ| [1/µm].
+        method: One of ``coefficient_basis.METHODS``.
+        terms: Number of terms of the series.
+        fits_powers: Whether a basis is fitted to powers.
+        is_tapered: Whether the grid of frequencies is finer than the patch's.
+    """
+
+    block: Block
+    kappas: tuple[float, float]
+    method: str
+    terms: int
+    fits_powers: bool
+    is_tapered: bool
+
+
+@dataclass(frozen=True)
+class RowsKey:
+    """What the rows of coefficients on a device depend on besides the heights.
+
+    Attributes:
+        device: Name of the device.
+        block: The coefficients that are kept.
+        coefficient_range: The range that they are for.
+        method: One of ``coefficient_basis.METHODS``.
+        terms: Number of terms.
+        kind: Kind of coherence.
+        centre_um: Position (y, x) of a centred window [µm]; None is the centre of the patch.
+    """
+
+    device: str
+    block: Block
+    coefficient_range: CoefficientRange
+    method: str
+    terms: int
+    kind: str
+    centre_um: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -137,19 +155,19 @@ def coefficients_for(
         direction_range: The range of directions and wavelengths.
         neighbour_extent: Coefficients (y, x) on either side of a direction that may be looked up.
         terms: Number of terms of a series; a fitted basis finds its own.
-        threads: Transforms to run side by side.
-        to_fit: Whether they are a series that a basis is to be fitted to, and then of use to the truth at most.
+        threads: Transforms to run in parallel.
+        to_fit: Whether they are a series that a basis is to be fitted to, which at most a reference uses again.
     """
     coefficient_range = CoefficientRange.covering(direction_range)
-    low, high = coefficient_range.kappa_low, coefficient_range.kappa_high
-    check_cycles(heightfield, high)
+    kappas = 0.0 if method in EXPANSIONS else coefficient_range.kappa_low, coefficient_range.kappa_high
+    check_cycles(heightfield, kappas[1])
     grid = grid_for(heightfield, coherence)
     block = fourier_coefficients.Block.covering(grid, coefficient_range.frequency, neighbour_extent)
-    if method in EXPANSIONS:
-        low = 0.0
-    else:
-        terms = coefficient_basis.series_terms(heightfield, (low, high))
-    key = (block, low, high, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is None)
+    if method not in EXPANSIONS:
+        terms = coefficient_basis.series_terms(heightfield, kappas)
+    key = CoefficientsKey(
+        block, kappas, method, terms, coherence.adds_powers and method not in EXPANSIONS, grid.taper is not None
+    )
 
     @single_threaded_blas()
     def arrays() -> dict[str, Any]:
@@ -163,30 +181,28 @@ def coefficients_for(
             f"take {{share}} of its area, by {ref('cropped()')}",
         )  # fmt: skip
         if method in EXPANSIONS:
-            made = coefficient_basis.of_series(
-                heightfield, method, grid, block, (low, high), terms=terms, threads=threads
-            )
+            made = coefficient_basis.of_series(heightfield, method, grid, block, kappas, terms=terms, threads=threads)
         else:
             series, _, _ = coefficients_for(
                 heightfield, "jacobi-anger", coherence, direction_range, neighbour_extent, terms=terms, threads=threads,
                 to_fit=True,
             )  # fmt: skip
-            made = coefficient_basis.fitted(heightfield, method, series, (low, high), adds_powers=coherence.adds_powers)
+            made = coefficient_basis.fitted(heightfield, method, series, kappas, adds_powers=coherence.adds_powers)
         return vars(made)
 
     def make() -> Coefficients:
         return Coefficients(**disk_cache.cached_on_disk((key, heightfield.pitch_um), heightfield.heights_um, arrays))
 
-    cache, fitted_to = table_cache(heightfield).coefficients, table_cache(heightfield).fitted_to
-    if to_fit and key not in cache:
-        return fitted_to.get_or_make(key, make), block, grid
-    if method in EXPANSIONS and key not in cache:
-        series = fitted_to.get(key)
+    cache = TableCache.of(heightfield)
+    if to_fit and key not in cache.coefficients:
+        return cache.fitted_to.get_or_make(key, make), block, grid
+    if method in EXPANSIONS and key not in cache.coefficients:
+        series = cache.fitted_to.get(key)
         if series is not None:
-            cache.put(key, series)
+            cache.coefficients.put(key, series)
         # Memory of it would be on top of that of all tables.
-        fitted_to.clear()
-    return cache.get_or_make(key, make), block, grid
+        cache.fitted_to.clear()
+    return cache.coefficients.get_or_make(key, make), block, grid
 
 
 def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
@@ -219,12 +235,12 @@ def table_for(
     lanes = lanes_of(terms)
     kernels = kernels_for(plan.method, coherence, terms)
     table = kernels.Table()
-    centred = coherence if coherence.kind == "centred" else None
-    key = (device.alias, id(coefficients), terms, centred and centred.centre_um, centred is None)
+    coefficient_range = CoefficientRange.covering(direction_range)
+    key = RowsKey(device.alias, block, coefficient_range, plan.method, terms, coherence.kind, coherence.centre_um)
 
-    def make() -> tuple[Any, Any, Coefficients]:
+    def make() -> tuple[wp.array, wp.array]:
         rows = coefficients.rows[..., :terms]
-        if centred is not None:
+        if coherence.kind == "centred":
             rows = _rotated(rows, _centre_phase(heightfield, coherence, block))
         padded = np.zeros((*rows.shape[:3], lanes), dtype=np.float32)
         padded[..., :terms] = rows
@@ -233,11 +249,9 @@ def table_for(
         return (
             wp.array(padded.reshape(-1, lanes), dtype=kernels.row, device=device),
             wp.array(basis, dtype=kernels.row, device=device),
-            coefficients,
         )
 
-    # With the rows those that they are of are kept, so that no others get their number.
-    table.rows, table.basis, _ = table_cache(heightfield).rows.get_or_make(key, make)
+    table.rows, table.basis = TableCache.of(heightfield).rows.get_or_make(key, make)
     table.kappa_low, table.steps = coefficients.kappa_low, 1.0 / coefficients.step
     table.count_y, table.count_x = block.count
     table.origin_y, table.origin_x = block.origin
@@ -313,9 +327,9 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     geometric = plan.coherence.kind == "source"
     sets = [colorimetry.uniform_quadrature(count, illuminated.illuminant, geometric=geometric) for count in counts]
     result = coefficient_sum.Quadrature()
-    result.wavenumbers = wp.array(np.concatenate([nodes for nodes, _ in sets]), dtype=wp.float64, device=device)
-    weights = np.concatenate([set_weights for _, set_weights in sets]).astype(np.float32)
-    result.weights = wp.array(weights, dtype=wp.vec3f, device=device)
+    wavenumbers, weights = (np.concatenate(parts) for parts in zip(*sets, strict=True))
+    result.wavenumbers = wp.array(wavenumbers, dtype=wp.float64, device=device)
+    result.weights = wp.array(weights.astype(np.float32), dtype=wp.vec3f, device=device)
     reflectances = (
         np.zeros((0, 0)) if illuminated.material is None else reflectance_table(illuminated.material, _ANGLES)
     )
@@ -360,10 +374,7 @@ def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArra
 
 def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
     """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
-    middle = (
-        (heightfield.shape[0] // 2) * heightfield.pitch_um[0],
-        (heightfield.shape[1] // 2) * heightfield.pitch_um[1],
-    )
+    middle = [n // 2 * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
     centre = coherence.centre_um or middle
     s, r = block.orders()
     turns = s[:, None] * (centre[0] / heightfield.size_um[0]) + r[None, :] * (centre[1] / heightfield.size_um[1])

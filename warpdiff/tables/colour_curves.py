@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.materials import Material
     from warpdiff.request.plan import Plan
-    from warpdiff.tables.polar_grid import MipLayout
+    from warpdiff.tables.mip_layout import MipLayout
 
 # Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
 _ENTRIES_OVER_W = 160
@@ -52,12 +52,14 @@ class SpectrumBasis:
         kappas: The range of |κ| [1/µm].
         sizes: How much each term matters, (terms,).
         share: Of the tolerance, what functions of w may leave out.
+        holds_lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     kappas: tuple[float, float]
     sizes: NDArray[np.float64]
     share: float
+    holds_lines: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,11 @@ class SeparableTerm:
     """A part of an octave's colours: a projection of the spectrum, times a number for each node of |(u, v)|.
 
     Attributes:
-        matrices: For each node from the one before a colour's own to its blue end and beyond, and for each term, the
-            coefficients of the functions of w, shape (nodes, terms, m).
-        factors: The number for each node of the octave, shape (nodes of an octave,); None is 1.
+        projection: Index of the projection, which octaves may share.
+        factors: The number for each ring of the octave, shape (rings,); None is 1.
     """
 
-    matrices: NDArray[np.float32]
+    projection: int
     factors: NDArray[np.float32] | None = None
 
 
@@ -80,14 +81,17 @@ class Projection:
 
     Attributes:
         ws: |w| at equal steps.
-        functions: Functions of these that all colours share, shape (entries, m).
-        weights: What nodes count for X, Y and Z, shape (nodes, 3).
+        w_basis: Functions of these that all colours share, shape (entries, m).
+        weights: What rings count for X, Y and Z, shape (rings, 3).
+        matrices: For each projection, for each ring from the one before a colour's own to its blue end and beyond, and
+            for each term, the coefficients of the functions of w, shape (rings, terms, m).
         octaves: For each octave of |(u, v)| the products whose sum its colours are: a single one without a material.
     """
 
     ws: NDArray[np.float64]
     w_basis: NDArray[np.float32]
     weights: NDArray[np.float32]
+    matrices: tuple[NDArray[np.float32], ...]
     octaves: tuple[tuple[SeparableTerm, ...], ...]
 
 
@@ -103,18 +107,16 @@ def make_projection(
     # The range of |w| whose |κ| at all wavelengths are within the terms'.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
-    weights = colour_weights(plan.rings_per_octave, illuminated, lines=plan.coherence.kind == "source")
+    weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
     count = len(terms.sizes)
     kappas = np.clip(ws[:, None] * per_um, *terms.kappas)
     basis = terms.basis_at(kappas.ravel()).reshape(len(ws), len(per_um), count)
-    parts = _material_products(
+    functions, octaves = _material_products(
         illuminated.material, plan.rings_per_octave, _PRODUCTS_SHARE * plan.tolerance, layout, low, high
     )
-    # Octaves that share a product, as those of small |(u, v)| do, count once.
-    distinct = {id(over_w): (over_w, size) for octave in parts for over_w, _, size in octave}
     sized = basis * terms.sizes * np.linalg.norm(weights, axis=1)[:, None]
     matrix = np.concatenate(
-        [(sized * (size * over_w)[:, :, None]).reshape(len(ws), -1) for over_w, size in distinct.values()], axis=1
+        [(sized * (size * over_w)[:, :, None]).reshape(len(ws), -1) for over_w, size in functions], axis=1
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
@@ -128,14 +130,11 @@ def make_projection(
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
     w_basis = left[:, :m] / relative
-    projected = {
-        key: np.einsum("wm,wi,wil->ilm", left[:, :m] * relative, over_w, basis, optimize=True).astype(np.float32)
-        for key, (over_w, _) in distinct.items()
-    }
-    octaves = tuple(
-        tuple(SeparableTerm(projected[id(over_w)], factors) for over_w, factors, _ in octave) for octave in parts
+    matrices = tuple(
+        np.einsum("wm,wi,wil->ilm", left[:, :m] * relative, over_w, basis, optimize=True).astype(np.float32)
+        for over_w, _ in functions
     )
-    return Projection(ws, w_basis.astype(np.float32), weights.astype(np.float32), octaves)
+    return Projection(ws, w_basis.astype(np.float32), weights.astype(np.float32), matrices, octaves)
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -146,23 +145,20 @@ def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-_MaterialTerm = tuple["NDArray[np.float64]", "NDArray[np.float32] | None", float]
-
-
 # Those of the last plan serve all of its illuminants, and any number of functions.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
-) -> tuple[tuple[_MaterialTerm, ...], ...]:
-    """For each octave, functions of (w, λ), numbers for its nodes, and how large these are at most.
+) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
+    """Functions of (w, λ) with how large the numbers that multiply them are at most, and their products by octave.
 
-    Their products add up to R relative to what colour curves hold of it, but for a share, over a range of |w|.
+    The products of an octave add up to R relative to what colour curves hold of it, but for a share, over a range of
+    |w|. Octaves of small |(u, v)| share a function.
     """
     ws, per_um = _places(rings_per_octave, low, high)
-    count = len(layout.azimuths[0])
+    grid = layout.levels[0]
     if material is None:
-        ones = np.ones((len(ws), len(per_um)))
-        return (((ones, None, 1.0),),) * count
+        return ((np.ones((len(ws), len(per_um))), 1.0),), ((SeparableTerm(0),),) * len(grid.azimuths)
     wavelengths = np.clip(1e3 / per_um, colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
     at_roots = _ratios_at_roots(material, wavelengths)
 
@@ -172,13 +168,16 @@ def _material_products(
         return np.asarray(ratios.reshape(*cosines.shape, -1))
 
     centre: NDArray[np.float64] = ratio(np.zeros(1))[0]
-    result: list[tuple[_MaterialTerm, ...]] = []
-    for octave in range(count):
-        logs = layout.log_low - LOG_RED + (octave + np.arange(rings_per_octave) / rings_per_octave) * math.log(2.0)
-        # Beyond 2 there is no |(u, v)|.
-        uv = np.minimum(np.exp(logs), 2.0)
+    functions: list[tuple[NDArray[np.float64], float]] = []
+    octaves: list[tuple[SeparableTerm, ...]] = []
+    shared: SeparableTerm | None = None
+    # Beyond 2 there is no |(u, v)|.
+    for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
-            result.append(((centre, None, 1.0),))
+            if shared is None:
+                shared = SeparableTerm(len(functions))
+                functions.append((centre, 1.0))
+            octaves.append((shared,))
             continue
         values = ratio(uv).reshape(len(uv), -1)
         # A singular value decomposition by the smaller side.
@@ -187,13 +186,10 @@ def _material_products(
         rank = 1
         while rank < len(uv) and np.abs(values - left[:, :rank] @ right[:rank]).max() > share:
             rank += 1
-        result.append(
-            tuple(
-                (right[j].reshape(centre.shape).copy(), left[:, j].astype(np.float32), float(np.abs(left[:, j]).max()))
-                for j in range(rank)
-            )
-        )
-    return tuple(result)
+        first = len(functions)
+        octaves.append(tuple(SeparableTerm(first + j, left[:, j].astype(np.float32)) for j in range(rank)))
+        functions += [(right[j].reshape(centre.shape).copy(), float(np.abs(left[:, j]).max())) for j in range(rank)]
+    return tuple(functions), tuple(octaves)
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -246,21 +242,14 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
     return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 
 
-def _curves(products: NDArray[np.float64], places: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """Colour curves over ln λ at so many nodes from the red end; darkness beyond either end."""
-    at = 1e3 * np.exp(-(LOG_RED + places * step))
-    lambdas = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
-    # dλ = λ d ln λ.
-    curves = np.stack([np.interp(at, lambdas, c, left=0.0, right=0.0) for c in products.T], axis=1)
-    return np.asarray(at[:, None] * curves)
-
-
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """The splines' coefficients that come closest to the colour curves, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
     # Nodes beyond the band see darkness there, and their splines' share of it.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
-    curves = _curves(products, places - 1.0, math.log(2.0) / rings_per_octave)
+    at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
+    # dλ = λ d ln λ; there is darkness beyond either end.
+    curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]
     splines = spline(places[:, None] - np.arange(count)) * weights

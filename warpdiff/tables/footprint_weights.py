@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,11 +20,8 @@ if TYPE_CHECKING:
 
 # Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Deviations of a blur that azimuths or nodes reach at least: of a spectrum under a window, whose own blur is about so
-# many distances of azimuths in a level (of sharp rows 0.9 in the smallest tables, and up to 2.1), and of a source's
-# lines, whose flanks are seen for themselves.
-_TAP_RADIUS_SIGMAS, _OWN_BLUR_SPACINGS = 2.5, 1.1
-_TAP_RADIUS_SIGMAS_OF_LINES = 3.1
+# Blur of a spectrum under a window in a level, in distances of azimuth samples: about 1.1, and 0.9 to 2.1 in level 0.
+_OWN_BLUR_SPACINGS = 1.1
 # A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 _TAP_POSITIONS = 64
@@ -31,14 +29,25 @@ _TAP_POSITIONS = 64
 _VARIANCE_WITHIN_PARTS = 1.2
 
 
+@dataclass(frozen=True)
+class TapRule:
+    """Choice of the taps that stand for a Gaussian between azimuth samples or rings.
+
+    Attributes:
+        radius_sigmas: Standard deviations of the blur that taps reach at least.
+        weigh: Function of the samples' places from the Gaussian's middle, (n, m), and of its variance, both in
+            distances of samples, that returns their weights, (n, m).
+    """
+
+    radius_sigmas: float
+    weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+
+
 @functools.cache
-def footprint_taps(device: str, *, is_line_spectrum: bool) -> Any:
-    """The struct ``FootprintTaps`` of the kernels for a source's lines or a spectrum, on the device of a name."""
+def footprint_taps(device: str, rule: TapRule) -> Any:
+    """The struct ``FootprintTaps`` of the kernels by a rule, on the device of a name."""
     result = colour_lookup.FootprintTaps()
-    radius_sigmas, weigh = (
-        (_TAP_RADIUS_SIGMAS_OF_LINES, _cut_off) if is_line_spectrum else (_TAP_RADIUS_SIGMAS, _closest)
-    )
-    weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, radius_sigmas, weigh)
+    weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
     result.lengths = wp.array(lengths, dtype=wp.int32, device=device)
     result.per_variance = (_REMAINING_BLURS - 1) / _MOST_REMAINING_VARIANCE
@@ -62,21 +71,18 @@ def _parts(most: int) -> NDArray[np.float64]:
     return result
 
 
-def _tap_weights(
-    most: int, radius_sigmas: float, weigh: Callable[[NDArray[np.float64], float], NDArray[np.float64]]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Weights of the azimuths around a place, (variances, fractions, most), and how many of them count.
 
-    The fraction is how far the place lies from the middle of these. ``weigh`` takes the azimuths' places from there,
-    (n, m), and the blur's variance.
+    The fraction is how far the place lies from the middle of these.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
     lengths = np.zeros(_REMAINING_BLURS, dtype=np.int32)
     for index in range(_REMAINING_BLURS):
         variance = index / (_REMAINING_BLURS - 1) * _MOST_REMAINING_VARIANCE
-        count = min(math.ceil(2.0 * radius_sigmas * math.sqrt(variance + 0.25)), most)
-        weights[index, :, :count] = weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
+        count = min(math.ceil(2.0 * rule.radius_sigmas * math.sqrt(variance + 0.25)), most)
+        weights[index, :, :count] = rule.weigh(np.arange(count) - (count - 1) / 2.0 - fractions[:, None], variance)
         lengths[index] = count
     return weights.astype(np.float32), lengths
 
@@ -121,3 +127,7 @@ def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: f
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
+
+
+# The flanks of a source's lines are visible on their own, so that taps reach further.
+SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpdiff.core.caching import LruCache
 from warpdiff.device.kernel_calls import ELEMENTS_OF_SLICE, KernelCall, launch_pipeline
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.structs import Footprint
-from warpdiff.tables import coefficient_table, colour_table, polar_grid
+from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.footprint_weights import footprint_taps
-from warpdiff.tables.sky_cells import sky_table
+from warpdiff.tables.spectrum_source import source_type
 
 if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
@@ -24,21 +25,28 @@ _LOOK_UPS_OF_SLICE = 2048
 
 
 class ColourLookup:
-    """The kernel of a plan with what it reads, made or found again."""
+    """The kernel of a plan with what it reads, made or found again.
+
+    Attributes:
+        heightfield: The height field.
+        plan: The plan.
+        device: The Warp device.
+        derived: Tables that others have made from this look-up, by keys of their own.
+    """
 
     def __init__(
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
         device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
-        self._heightfield, self._plan, self._device, self._threads = heightfield, plan, device, threads
+        self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
-        self._colours: dict[IlluminatedMaterial, Any] = {}
+        self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
-        self._sky_tables: dict[Any, Any] = {}
+        self.derived: LruCache[Any] = LruCache()
         self._table: coefficient_table.Table | None = None
         if plan.rings_per_octave:
-            self._taps = footprint_taps(device.alias, is_line_spectrum=plan.coherence.kind == "source")
+            self._taps = footprint_taps(device.alias, source_type(plan.coherence).tap_rule)
             self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def accumulate(
@@ -62,80 +70,65 @@ class ColourLookup:
         options.setdefault("slice_size", self.slice_size)
         calls = self.kernel_calls(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)
         launch_pipeline(
-            calls, len(gains) if among is None else among, device=self._device, threads=self._threads, **options
+            calls, len(gains) if among is None else among, device=self.device, threads=self._threads, **options
         )
 
-    def sky_table(self, illuminated: tuple[tuple[IlluminatedMaterial, ...], ...], directions: int) -> Any:
-        """The struct ``SkyTable`` for so many directions, of spectra by material, made or found again."""
-        key = illuminated, directions
-        if key not in self._sky_tables:
-            # Of their own: colours of an environment's spectra are asked for here alone, and are far larger.
-            options: dict[str, Any] = {"device": self._device, "threads": self._threads}
-            with_all, without = (
-                ColourLookup(self._heightfield, self._plan, self._range, zeroth_order=zeroth_order, **options)
-                for zeroth_order in (True, False)
-            )
-            lobe_uv = polar_grid.blur(self._plan.coherence) * polar_grid.MIDDLE_UM
-            self._sky_tables[key] = sky_table(
-                (with_all, without), illuminated, directions, self._heightfield.height_range_um, lobe_uv,
-                device=self._device,
-            )  # fmt: skip
-        return self._sky_tables[key]
+    def with_zeroth_order(self, *, zeroth_order: bool) -> ColourLookup:
+        """Return a look-up by the same plan with or without the zeroth order, with tables of its own."""
+        return ColourLookup(
+            self.heightfield, self.plan, self._range, zeroth_order=zeroth_order, device=self.device,
+            threads=self._threads,
+        )  # fmt: skip
 
     @property
     def slice_size(self) -> int:
         """How many directions of a picture or a call go through the kernels together."""
-        return _LOOK_UPS_OF_SLICE if self._plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
+        return _LOOK_UPS_OF_SLICE if self.plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether a table leaves out some directions, as those of a source do."""
-        return bool(self._plan.rings_per_octave) and self._plan.coherence.kind == "source"
+        """Whether a table excludes some directions, as those of lines do."""
+        return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     @property
     def uses_footprints(self) -> bool:
         """Whether a table takes means over footprints."""
-        return self._plan.uses_footprints
+        return self.plan.uses_footprints
 
     def kernel_calls(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
         """The kernel calls of ``accumulate``."""
-        if not self._plan.rings_per_octave:
-            return [self._sample(scattering_vectors, to_lights, gains, illuminated, xyz)]
+        directions = [scattering_vectors, to_lights]
+        if not self.plan.rings_per_octave:
+            return [self._sample([*directions, gains], illuminated, xyz)]
         if unserved_gain is None:
-            unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self._device)
-        calls = [self._look_up(scattering_vectors, to_lights, gains, illuminated, xyz, footprints, unserved_gain)]
+            unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self.device)
+        calls = [self._look_up([*directions, gains], illuminated, xyz, footprints, unserved_gain)]
         if self.needs_sampling:
-            calls.append(self._sample(scattering_vectors, to_lights, unserved_gain, illuminated, xyz))
+            calls.append(self._sample([*directions, unserved_gain], illuminated, xyz))
         return calls
 
     def _look_up(
-        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array, footprints: wp.array | None, unserved_gain: wp.array,
+        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
+        unserved_gain: wp.array,
     ) -> KernelCall:  # fmt: skip
         """Add what a table serves."""
         if illuminated not in self._colours:
-            kernel, table = colour_table.table_for(
-                self._heightfield, self._plan, self._range, illuminated, device=self._device, threads=self._threads
+            table = colour_table.table_for(
+                self.heightfield, self.plan, self._range, illuminated, device=self.device, threads=self._threads
             )
-            self._colours[illuminated] = (
-                kernel,
-                table if self._zeroth_order else colour_table.without_zeroth_order(table, self._plan.coherence),
-            )
-        kernel, table = self._colours[illuminated]
+            self._colours[illuminated] = table if self._zeroth_order else table.without_zeroth_order()
+        table = self._colours[illuminated]
         spreads = self._no_footprints if footprints is None else footprints
-        batch = colour_lookup.BATCH if self._device.is_cpu else 1
-        inputs = [table, scattering_vectors, to_lights, gains, spreads, self._taps, batch]
-        return KernelCall(kernel, inputs, [unserved_gain, xyz], block=batch)
+        batch = colour_lookup.BATCH if self.device.is_cpu else 1
+        inputs = [table.struct, *directions, spreads, self._taps, batch]
+        return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
-    def _sample(
-        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array,
-    ) -> KernelCall:  # fmt: skip
+    def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Add the sums over wavelengths."""
-        heightfield, plan, device = self._heightfield, self._plan, self._device
+        heightfield, plan, device = self.heightfield, self.plan, self.device
         # Others may have taken its place among those that are kept.
         if self._table is None:
             self._table = coefficient_table.table_for(
@@ -147,5 +140,5 @@ class ColourLookup:
             self._quadratures[illuminated] = coefficient_table.quadrature_for(
                 heightfield, plan, illuminated, device=device
             )
-        inputs = [self._table.arguments, scattering_vectors, to_lights, gains, self._quadratures[illuminated]]
+        inputs = [self._table.arguments, *directions, self._quadratures[illuminated]]
         return KernelCall(self._table.integrate, inputs, [xyz])

@@ -50,9 +50,9 @@ def test_controls_are_described_by_the_keys_of_json_schema():
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [({"sigma_um": "x"}, "σ must be a number, got str"),
+    [({"sigma_um": "x"}, "σ must be a number, got 'x'"),
      ({"sigma_um": 0.5}, "σ must be a finite number, at least 1 and at most 100, got 0.5"),
-     ({"smooth": 1}, "smooth normals must be True or False, got 1"),
+     ({"smooth": 1}, "smooth normals must be on or off, got 1"),
      ({"tolerance": 0.2}, "tolerance must be one of '1e-1', '3e-2', '1e-2', got 0.2"),
      ({"surface": ["fingers"]}, "height field must be one of 'h.npy', 'nano-fingers', "),
      ({"sigma": 2.0}, "there is no control 'sigma'"),

@@ -10,16 +10,17 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.core import disk_cache
-from warpdiff.render.picture import Picture
+from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import Surface, prepare_surface
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import warp as wp
     from numpy.typing import NDArray
 
-    from warpdiff.apps.viewer.page_calls import Call
+    from warpdiff.apps.viewer.page_calls import Call, PageRequest
 
 # Largest share of the picture that a body fills; View.fit frames a sphere, of which a body fills half.
 _FILLED = 0.92
@@ -88,10 +89,9 @@ def local_directions(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
     )  # fmt: skip
-    picture = Picture(surface, one, smooth=smooth, device=device, threads=threads)
-    picture.set_view(one)
-    picture.trace(0)
-    pixels = picture.gbuffer.pixels
+    rays = rays_for(surface, one, smooth=smooth, device=device, threads=threads)
+    rays.launch(rays.trace(0, 1))
+    pixels = rays.gbuffer.pixels
     if not pixels.hit.numpy()[0]:
         return None
     axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
@@ -109,3 +109,43 @@ def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, f
     local = axes @ direction
     x, y, z = (local / np.linalg.norm(local)).tolist()
     return x, y, z
+
+
+def nearest_pixel(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
+    """Return the pixel (column, row) of a mask that is nearest to a position in the picture."""
+    rows, columns = np.nonzero(mask)
+    if not len(rows):
+        return None
+    height, width = mask.shape
+    nearest = int(np.argmin((columns + 0.5 - probe[0] * width) ** 2 + (rows + 0.5 - probe[1] * height) ** 2))
+    return int(columns[nearest]), int(rows[nearest])
+
+
+def angles_deg(direction: Sequence[float]) -> dict[str, float]:
+    """Return the angles from the normal and from the height field's x axis [degrees]."""
+    x, y, z = direction
+    theta, phi = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(y, x))
+    return {"theta_deg": float(theta), "phi_deg": float(phi)}
+
+
+def height_field_of(call: Call) -> wd.HeightField:
+    """Return a height field; the disk cache has gratings, as fingers take half a second of a first picture."""
+    if not call.function.startswith("gratings."):
+        result: wd.HeightField = call.make()
+        return result
+
+    def make() -> dict[str, Any]:
+        heightfield = call.make()
+        return {"heights_um": heightfield.heights_um, "pitch_um": np.array(heightfield.pitch_um)}
+
+    arrays = disk_cache.cached_on_disk(("height field", wd.__version__, str(call)), np.zeros(0), make)
+    return wd.HeightField.of_known_scale(arrays["heights_um"], tuple(arrays["pitch_um"].tolist()))
+
+
+def resting_view(request: PageRequest, body: Surface) -> wd.View:
+    """Return the view of a page at rest."""
+    height = request.values["height"]
+    width = max(round(request.aspect * height), 1)
+    if request.camera is None:
+        return framed(body, width, height)
+    return dataclasses.replace(request.camera, width=width, height=height)

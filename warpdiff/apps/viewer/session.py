@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import math
 import statistics
 import threading
@@ -36,9 +35,9 @@ from warpdiff.lights.environment import rotated
 from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from warpdiff.apps.viewer.page_calls import Call, NamedFiles, PageRequest
+    from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
     from warpdiff.scene.mesh_import import Surface
 
 # Tolerances of the pictures at rest that precede the requested one.
@@ -282,7 +281,7 @@ class Studio:
         stages = stages_to(scene.tolerance)
         body = self._surface(scene)
         scene = scene.placed(body.centre.tolist(), body.radius)
-        full = _view(request, body)
+        full = page_bodies.resting_view(request, body)
         if index == len(stages):
             self._send_angles_and_map(session, request, scene, full, progress)
             session.stage = index + 1
@@ -323,7 +322,7 @@ class Studio:
                 if errors.size else None,
             }  # fmt: skip
             if stage.tolerance is not None:
-                result["plan"] = str(image.plan)
+                result["plan"] = f"{image.report}\n\n{image.plan}"
                 result["python"] = scene.python(view, scene.tolerance, saving)
                 result["command"] = scene.command(view, scene.tolerance, saving)
             session.drawn_request, session.picture = request, (image, display)
@@ -380,7 +379,7 @@ class Studio:
 
     def _height_field(self, scene: Scene) -> wd.HeightField:
         call = scene.heightfield
-        return self._caches.height_fields.get_or_make(str(call), lambda: _cached_height_field(call))
+        return self._caches.height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
 
     def _lights(self, scene: Scene) -> list[Any]:
         """Return the light, and after it the environment, which is the same object as long as nothing changes."""
@@ -420,7 +419,7 @@ class Studio:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            return {"plan": json.dumps(dataclasses.asdict(made[0].plan))}
+            return {"plan": made[0].plan.to_json()}
 
         # No plan depends on shadows.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
@@ -428,7 +427,7 @@ class Studio:
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)
         if made:
             return made[0]
-        return wd.Renderer(surface, heightfield, lights, view, plan=_plan_of(str(arrays["plan"])), **options)
+        return wd.Renderer(surface, heightfield, lights, view, plan=wd.Plan.from_json(str(arrays["plan"])), **options)
 
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
@@ -438,7 +437,9 @@ class Studio:
         pixel = None
         if image is not None:
             full = image.coverage > _FULL_COVERAGE
-            pixel = _nearest(full & image.illuminated, request.probe) or _nearest(full, request.probe)
+            pixel = page_bodies.nearest_pixel(full & image.illuminated, request.probe) or page_bodies.nearest_pixel(
+                full, request.probe
+            )
         light = wd.DirectionalLight(scene.to_light) if scene.light is None else scene.light.make()
         local = pixel and page_bodies.local_directions(
             self._surface(scene), view, light, *pixel, smooth=request.values["smooth"], device=self._device,
@@ -449,7 +450,10 @@ class Studio:
             session.send(message | {"text": "No surface is visible."}, None)
             return
         message["at"] = [(pixel[0] + 0.5) / view.width, (pixel[1] + 0.5) / view.height]
-        message["angles"] = {"light": _angles(local.to_light), "view": _angles(local.to_view)}
+        message["angles"] = {
+            "light": page_bodies.angles_deg(local.to_light),
+            "view": page_bodies.angles_deg(local.to_view),
+        }
         message["to_view"] = local.to_view
         if scene.light is None:
             del message["angles"]["light"]
@@ -470,20 +474,6 @@ class Studio:
 
 def _message(kind: str, request: PageRequest, **more: Any) -> dict[str, Any]:
     return {"kind": kind, "generation": request.generation, **more}
-
-
-def _cached_height_field(call: Call) -> wd.HeightField:
-    """Return a height field; the disk cache has gratings, as fingers take half a second of a first picture."""
-    if not call.function.startswith("gratings."):
-        result: wd.HeightField = call.make()
-        return result
-
-    def make() -> dict[str, Any]:
-        heightfield = call.make()
-        return {"heights_um": heightfield.heights_um, "pitch_um": np.array(heightfield.pitch_um)}
-
-    arrays = disk_cache.cached_on_disk(("height field", wd.__version__, str(call)), np.zeros(0), make)
-    return wd.HeightField.of_known_scale(arrays["heights_um"], tuple(arrays["pitch_um"].tolist()))
 
 
 def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
@@ -507,40 +497,3 @@ def _illuminants(scene: Scene) -> tuple[str, ...]:
 def _is_released(session: Session, request: PageRequest) -> bool:
     """Whether the last picture was a moving one that now rests; it is refined at once, without another preview."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving
-
-
-def _view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the view of a page at rest."""
-    height = request.values["height"]
-    width = max(round(request.aspect * height), 1)
-    if request.camera is None:
-        return page_bodies.framed(body, width, height)
-    return dataclasses.replace(request.camera, width=width, height=height)
-
-
-def _plan_of(text: str) -> wd.Plan:
-    """Return the plan of a JSON text."""
-
-    def with_tuples(fields: dict[str, Any]) -> dict[str, Any]:
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
-
-    fields = with_tuples(json.loads(text))
-    fields["coherence"] = wd.Coherence(**with_tuples(fields["coherence"]))
-    return wd.Plan(**fields)
-
-
-def _nearest(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
-    """Return the pixel (column, row) of a mask that is nearest to a position in the picture."""
-    rows, columns = np.nonzero(mask)
-    if not len(rows):
-        return None
-    height, width = mask.shape
-    nearest = int(np.argmin((columns + 0.5 - probe[0] * width) ** 2 + (rows + 0.5 - probe[1] * height) ** 2))
-    return int(columns[nearest]), int(rows[nearest])
-
-
-def _angles(direction: Sequence[float]) -> dict[str, float]:
-    """Return the angles from the normal and from the height field's x axis [degrees]."""
-    x, y, z = direction
-    theta, phi = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(y, x))
-    return {"theta_deg": float(theta), "phi_deg": float(phi)}

@@ -14,11 +14,12 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
+from warpdiff.baked.interpolation import ring_of_largest
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance, zeroth_order_power
 from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
-from warpdiff.lights.base import MOST_POWER, lobes_of
+from warpdiff.lights.base import MOST_POWER
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
@@ -111,7 +112,7 @@ def export_html(
             "lights": [
                 {"to_light": lobe.to_light, "position": lobe.position, "power": lobe.power,
                  "deviation": 0.0 if lobe.deviations is None else float(np.linalg.norm(lobe.deviations[0]))}
-                for light in checked_lights for lobe in lobes_of(light, single_lobe=True)
+                for light in checked_lights for lobe in light.lobes(single_lobe=True)
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
@@ -231,7 +232,8 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
     arrays.add("zeroth", "float32", zeroth.astype(np.float32).tobytes())
     return {
         "lobes": {
-            "rings": lobes.grid.rings, "rays": list(lobes.grid.azimuths), "ring_of_largest": lobes.grid.ring_of_largest,
+            "rings": lobes.grid.rings, "rays": list(lobes.grid.azimuths),
+            "ring_of_largest": ring_of_largest(lobes.grid.rings, lobes.grid.azimuths),
             "functions": count, "scale": lobes.scale, "size": _SIZE,
         },
         "variances": [lobes.lobe_variance(1.0 / tau) for tau in wavenumbers.tolist()],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,6 +16,7 @@ from warpdiff.diffraction import chebyshev
 from warpdiff.kernels import sky_sum
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
+from warpdiff.tables import polar_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,27 +39,38 @@ _WIDE = 0.5
 _BYTES_PER_ROW = 120.0
 
 
-@single_threaded_blas()
-def sky_table(
-    lookups: tuple[ColourLookup, ColourLookup], illuminated: Sequence[Sequence[IlluminatedMaterial]], directions: int,
-    height_range_um: float, lobe_uv: float, *, device: wp.Device,
-) -> Any:  # fmt: skip
-    """The struct ``SkyTable`` of a surface.
-
-    Each row is a look-up over a footprint that is the cell.
+def table_for(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], directions: int) -> Any:
+    """Return the struct ``SkyTable`` of a look-up, made or found again.
 
     Args:
-        lookups: With and without the zeroth order, which has a cell of its own, the first one: its lobe is narrower
-            than others.
+        lookup: The look-up.
         illuminated: Spectra by material.
-        directions: So many cells at most.
-        height_range_um: Of the height field [µm].
-        lobe_uv: The deviation of the zeroth order's lobe.
-        device: Where.
+        directions: Greatest number of cells.
     """
+    key = SkyTableKey(tuple(map(tuple, illuminated)), directions)
+    return lookup.derived.get_or_make(key, lambda: _sky_table(lookup, illuminated, directions))
+
+
+class SkyTableKey(NamedTuple):
+    """Key of a sky's table: spectra by material, and the greatest number of cells."""
+
+    illuminated: tuple[tuple[IlluminatedMaterial, ...], ...]
+    directions: int
+
+
+@single_threaded_blas()
+def _sky_table(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], directions: int) -> Any:
+    """Make a table, each row of which is a look-up over the footprint that is the cell.
+
+    The zeroth order, whose lobe is narrower than others, has a cell of its own, the first one. Look-ups of a sky's
+    spectra have tables of their own, as these are far larger.
+    """
+    device = lookup.device
+    lookups = lookup.with_zeroth_order(zeroth_order=True), lookup.with_zeroth_order(zeroth_order=False)
+    lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     places, footprints = cells(directions)
     nodes, spans, order = tree(directions)
-    phase = 2.0 * math.pi * height_range_um * 2e3 / LAMBDA_MIN_NM
+    phase = 2.0 * math.pi * lookup.heightfield.height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
     count = len(nodes) + 1
     memory.require_memory(

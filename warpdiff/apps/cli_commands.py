@@ -1,0 +1,206 @@
+"""Commands of the command line, which compute, write files, and say where these are."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.util
+import math
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.apps import cli_inputs
+from warpdiff.apps.cli_options import given
+from warpdiff.core import disk_cache, files, validation
+from warpdiff.core.options import describe
+from warpdiff.core.wording import ArgumentValueError, marked, ref, renaming
+from warpdiff.image.image import check_target
+from warpdiff.optics.materials import check_reflection
+from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
+
+if TYPE_CHECKING:
+    import argparse
+
+    from numpy.typing import NDArray
+
+
+_MOST_PORT, _GRAZING_DEG = 65_535, 90.0
+
+
+def _progress() -> bool:
+    """Whether progress is shown: on a terminal."""
+    return sys.stderr.isatty()
+
+
+def render(options: argparse.Namespace) -> None:
+    """Render a picture of a body and save it."""
+    _check_output(options)
+    environment = cli_inputs.environment_of(options)
+    mesh, heightfield, view = cli_inputs.scene_of(options)
+    lights = cli_inputs.lights_of(options, None if environment else view) + ([environment] if environment else [])
+    settings = cli_inputs.settings_of(options, SinglePictureSettings)
+    image = wd.shade(mesh, heightfield, lights, view, **settings, progress=_progress())
+    background = None
+    if environment is not None and options.environment_behind:
+        # Pictures by an index of refraction are relative to the reflectance at normal incidence.
+        normal, _ = check_reflection(settings.get("ior"), settings["material"])
+        background = environment.background(view) / np.float32(normal)
+    _save(image, options, background)
+
+
+def _check_output(options: argparse.Namespace) -> None:
+    """Refuse a file that cannot be written, before minutes are spent on it."""
+    check_target(options.output, "--output")
+    given(options, describe(wd.Image.save))
+    if "background" in options:
+        if Path(options.output).suffix.lower() != ".png":
+            raise ArgumentValueError(f"--background is for .png files, got --output {options.output}")
+        for component in options.background:
+            validation.number(component, "background", least=0.0, most=1.0)
+
+
+def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.float32] | None = None) -> None:
+    saving = given(options, describe(wd.Image.save)) | ({} if background is None else {"background": background})
+    path = image.save(options.output, **saving)
+    print(image.report)
+    print(image.plan)
+    print(path)
+
+
+def sequence(options: argparse.Namespace) -> None:
+    """Render the frames of a sequence."""
+    if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
+        raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
+    saving = given(options, describe(wd.sequence))
+    mesh, heightfield, view = cli_inputs.scene_of(options)
+    lights = cli_inputs.lights_of(options, view)
+    count = 36 if options.count is None else options.count
+    if options.path is not None:
+        shots = wd.camera_path(options.path, lights, view, count=options.count)
+    elif options.light_to is not None:
+        shots = wd.light_sweep(lights[0], view, options.light_to, count=count)
+    else:
+        shots = wd.turntable(lights, view, count=count, turns=options.turns, lights_follow=not options.lights_stay)
+    settings = cli_inputs.settings_of(options, PictureSettings)
+    renderer = wd.Renderer(mesh, heightfield, list(shots[0].lights), shots[0].view, **settings)
+    with contextlib.ExitStack() as stack:
+        client = None
+        if options.scheduler is not None:
+            from distributed import Client
+
+            client = stack.enter_context(Client(options.scheduler))
+        paths = wd.sequence(renderer, shots, options.output, **saving, client=client, progress=_progress())
+    print(renderer.plan)
+    print(f"{len(paths)} frames in {Path(options.output).resolve()}")
+    if "animation" in options:
+        print(options.animation)
+
+
+def export_html(options: argparse.Namespace) -> None:
+    """Write a web page with a body that visitors rotate."""
+    target = validation.path(options.output, "path")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {options.output!r}")
+    files.check_folder(target.parent, "path")
+    page = given(options, describe(wd.export_html))
+    mesh, heightfield, view = cli_inputs.scene_of(options)
+    baking = given(options, describe(wd.bake)) | {
+        "coherence": cli_inputs.coherence_of(options),
+        "material": cli_inputs.material_of(options),
+    }
+    baking["illuminant"] = cli_inputs.illuminant_of(options.illuminant)
+    lobes = wd.bake(heightfield, **baking, progress=_progress())
+    path = wd.export_html(target, mesh, lobes, cli_inputs.lights_of(options, view), view, **page)
+    print(lobes)
+    print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def brdf(options: argparse.Namespace) -> None:
+    """Compute a map of the reflectance in all view directions, and save it."""
+    _check_output(options)
+    if not abs(options.incidence_deg) < _GRAZING_DEG:
+        raise ArgumentValueError(
+            f"--incidence-deg must be more than -90 and less than 90, got {options.incidence_deg:g}"
+        )
+    theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
+    to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+    image = wd.reflectance_map(
+        cli_inputs.height_field_of(options), to_light, illuminant=cli_inputs.illuminant_of(options.illuminant),
+        **cli_inputs.settings_of(options, wd.reflectance_map), progress=_progress(),
+    )  # fmt: skip
+    _save(image, options)
+
+
+def demo(options: argparse.Namespace) -> None:
+    """Render the demonstration pictures."""
+    from warpdiff.apps import demo
+
+    shown = given(options, describe(wd.Image.save))
+    paths = demo.run(options.output, data=options.data, scale=options.scale, **shown, say=print, progress=_progress())
+    print(f"{len(paths)} pictures in {Path(options.output).resolve()}")
+
+
+def info(options: argparse.Namespace) -> None:
+    """Describe a height field and its default plan."""
+    heightfield = cli_inputs.height_field_of(options)
+    print(heightfield.summary())
+    if heightfield.missing.any():
+        print("\nMissing samples must be filled before rendering: --fill")
+    else:
+        plan = wd.plan(heightfield, **given(options, describe(EvaluationSettings)), strict=False)
+        print(f"\nFor the whole hemisphere: {plan}")
+
+
+def view(options: argparse.Namespace) -> None:
+    """Start the viewer."""
+    if importlib.util.find_spec("websockets") is None:
+        raise ArgumentValueError("the page requires websockets, which is not installed: pip install 'warpdiff[view]'")
+    from warpdiff.apps.viewer.command import run
+    from warpdiff.apps.viewer.page_calls import NamedFiles
+
+    if not 0 <= options.port <= _MOST_PORT:
+        raise ArgumentValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")
+    device = given(options, {name: describe(EvaluationSettings)[name] for name in ("device", "threads")})
+    loading = given(options, describe(wd.HeightField.load))
+    inputs = {"mesh": options.mesh, "heightfield": options.heightfield, "--environment": options.environment}
+    for name, paths in inputs.items():
+        for path in paths:
+            if not validation.path(path, name).is_file():
+                raise marked(FileNotFoundError, f"{ref(name)}: there is no file {path!r}")
+    # Files that cannot be loaded are reported here rather than on the page.
+    for path in options.heightfield:
+        cli_inputs.cleaned_of(cli_inputs.scan_of(path, options), options)
+    for path in options.environment:
+        with renaming({"path": "--environment"}):
+            wd.Environment.load(path)
+    named = NamedFiles(
+        tuple(map(Path, options.mesh)), tuple(map(Path, options.heightfield)), tuple(map(Path, options.environment)),
+        tuple(loading.items()), tuple(cli_inputs.cleaning_of(options)),
+    )  # fmt: skip
+    run(
+        named, host=options.host, port=options.port, opens_browser=not options.no_browser, **device,
+        say=functools.partial(print, flush=True),
+    )  # fmt: skip
+
+
+def cache(options: argparse.Namespace) -> None:
+    """Describe or trim the disk cache."""
+    if options.trim_mib is not None:
+        validation.number(options.trim_mib, "--trim-mib", least=0.0)
+    folder = disk_cache.cache_folder()
+    if folder is None:
+        print("the disk cache is disabled: WARPDIFF_CACHE_DIR is empty, or the user has no home folder")
+        return
+    if options.clear:
+        disk_cache.clear(folder)
+    elif options.trim_mib is not None:
+        disk_cache.trim(folder, round(options.trim_mib * 2**20))
+    entries = disk_cache.entries(folder)
+    used = f", last used on {time.strftime('%Y-%m-%d', time.localtime(entries[0].used))}" if entries else ""
+    total, most = sum(entry.size for entry in entries) / 2**20, disk_cache.MOST_BYTES / 2**20
+    print(f"{folder}: {len(entries)} files, {total:.1f} MiB of at most {most:.0f} MiB{used}")

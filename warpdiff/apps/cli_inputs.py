@@ -1,0 +1,243 @@
+"""Inputs of the command line: height fields, bodies, materials and lights from the texts of flags."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import inspect
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import warpdiff as wd
+from warpdiff.apps.cli_options import CLEANING, given
+from warpdiff.core import validation
+from warpdiff.core.options import describe
+from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import Metal
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+
+# Synthetic height fields by name: function of ``wd.gratings``, with the parameters that the command line begins with.
+GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
+    "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
+    "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
+    "blazed": ("blazed", {"period_um": 2.0, "depth_um": 0.25}),
+    "cd": ("disc", {"kind": "CD", "tracks": 40, "length_um": 64.0, "pitch_um": 0.08}),
+    "dvd": ("disc", {"kind": "DVD", "tracks": 87, "length_um": 64.0, "pitch_um": 0.06}),
+    "blu-ray": ("disc", {"kind": "Blu-ray", "tracks": 100, "length_um": 32.0, "pitch_um": 0.04}),
+    "bumps": ("bumps", {}),
+    "fingers": ("fingers", {"size_um": 64.0, "pitch_um": 0.08}),
+}
+BODIES: dict[str, tuple[str, dict[str, Any]]] = {
+    "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
+}  # fmt: skip
+_LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
+METAL_SYMBOLS = get_args(Metal)
+
+
+def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: Any, flag: str) -> Any:
+    """Return what a name such as ``fingers:size_um=25.6`` makes by a function of a module; None for another text."""
+    name, colon, parameters = text.partition(":")
+    if name.lower() in functions:
+        function, defaults = functions[name.lower()]
+    elif colon and inspect.isfunction(getattr(module, name, None)) and not name.startswith("_"):
+        function, defaults = name, {}
+    else:
+        return None
+    return _called(text, getattr(module, function), parameters, defaults, flag)
+
+
+def _called(text: str, function: Callable[..., Any], parameters: str, defaults: dict[str, Any], flag: str) -> Any:
+    """Call a function with parameters ``name=value,…`` over defaults."""
+    known = [name for name in inspect.signature(function).parameters if name != "_"]
+    values = {}
+    for assignment in filter(None, parameters.split(",")):
+        name, equals, value = assignment.partition("=")
+        if not equals or name not in known:
+            raise ArgumentValueError(
+                f"{ref(flag)} {text!r} has {assignment!r}, but its parameters are {', '.join(known)}, each as "
+                "name=value"
+                f"{did_you_mean(name, known)}"
+            )
+        values[name] = illuminant_of(value) if name == "illuminant" else _value(value)
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.default is parameter.empty and parameter.name not in defaults | values:
+            raise ArgumentValueError(f"{ref(flag)} {text!r} requires the parameter {parameter.name}")
+    try:
+        return function(**defaults | values)
+    except (TypeError, ValueError) as error:
+        raise ArgumentValueError(f"{ref(flag)} {text!r}: {error}") from None
+
+
+def _value(text: str) -> Any:
+    """Return a number, several numbers joined by ``x``, or the text itself."""
+    if re.fullmatch(r"[-+\d.e]+(x[-+\d.e]+)+", text):
+        return tuple(map(_value, text.split("x")))
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
+
+
+def height_field_of(options: argparse.Namespace) -> wd.HeightField:
+    """Return the height field of a file or of a synthetic one, cleaned."""
+    text = options.heightfield
+    made = _named(text, GRATINGS, wd.gratings, "heightfield")
+    if made is None:
+        if not validation.path(text, "heightfield").is_file():
+            names = list(GRATINGS)
+            raise marked(
+                FileNotFoundError,
+                f"{ref('heightfield')}: there is no file {text!r}; a synthetic one is called by its name, one of "
+                f"{', '.join(names)}{did_you_mean(text, names)}",
+            )
+        made = scan_of(text, options)
+    return cleaned_of(made, options)
+
+
+def scan_of(path: str, options: argparse.Namespace) -> wd.HeightField:
+    """Return the height field of a file."""
+    with renaming({"path": "--heightfield"}):
+        return wd.HeightField.load(path, **given(options, describe(wd.HeightField.load)))
+
+
+def cleaning_of(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str, Any], ...]]]:
+    """Return the methods of a height field that flags call, in their order, with their arguments."""
+    result: list[tuple[str, tuple[tuple[str, Any], ...]]] = []
+    for method, (flag, argument) in CLEANING.items():
+        value = getattr(options, flag.removeprefix("--").replace("-", "_"))
+        if value not in (None, False):
+            result.append((method, () if argument is None else ((argument, value),)))
+    return result
+
+
+def cleaned_of(heightfield: wd.HeightField, options: argparse.Namespace) -> wd.HeightField:
+    """Return a height field after the cleaning that the flags ask for."""
+    for name, arguments in cleaning_of(options):
+        heightfield = getattr(heightfield, name)(**dict(arguments))
+    return heightfield
+
+
+def coherence_of(options: argparse.Namespace) -> Coherence | None:
+    """Return the coherence of the flags; None if there are none."""
+    values = given(options, describe(Coherence))
+    return Coherence(**values) if values else None
+
+
+def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
+    """Return the settings that flags gave, with material and coherence."""
+    return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
+
+
+def material_of(options: argparse.Namespace) -> wd.Material | None:
+    """Return the material that flags name, under its film."""
+    if options.material is None:
+        if options.film is not None:
+            raise ArgumentValueError(f"{ref('film')} requires {ref('material')}: give both")
+        return None
+    material = _named_material(options.material, "material")
+    if options.film is None:
+        return material
+    name, thickness = options.film
+    try:
+        thickness_nm = float(thickness)
+    except ValueError:
+        raise ArgumentValueError(
+            f"{ref('film')} must be a material and a number of nanometres, got {thickness!r}"
+        ) from None
+    with renaming({"thickness_nm": "--film"}):
+        return material.coated(_named_material(name, "film"), thickness_nm)
+
+
+def _named_material(name: str, option: str) -> wd.Material:
+    """Return a metal, a dielectric of a constant index, or the material of a file."""
+    if name in METAL_SYMBOLS:
+        return wd.Material.metal(name)  # type: ignore[arg-type]
+    with renaming({"path": f"--{option}", "n": f"--{option}"}):
+        try:
+            index = float(name)
+        except ValueError:
+            if not validation.path(name, option).is_file():
+                raise ArgumentValueError(
+                    f"{ref(option)} must be one of {', '.join(METAL_SYMBOLS)}, an index of refraction, or a file, got "
+                    f"{name!r}{did_you_mean(name, METAL_SYMBOLS)}"
+                ) from None
+            return wd.Material.from_file(name)
+        return wd.Material.dielectric(index)
+
+
+def illuminant_of(text: str) -> str | wd.Spectrum:
+    """Return the illuminant of a name, or the spectrum of a temperature or a file."""
+    with renaming({"path": "--illuminant", "temperature_k": "--illuminant"}):
+        if re.fullmatch(r"[0-9.]+K", text):
+            with contextlib.suppress(ValueError):
+                return wd.Spectrum.blackbody(float(text[:-1]))
+            raise ArgumentValueError(
+                f"{ref('illuminant')} must be a temperature of 500K to 100000K, got {text!r}"
+            ) from None
+        return wd.Spectrum.from_csv(text) if Path(text).suffix else text
+
+
+def lights_of(options: argparse.Namespace, view: wd.View | None) -> list[Any]:
+    """Return the lights that flags give; of none, one from behind the shoulder of a view's camera."""
+    illuminant, lights = illuminant_of(options.illuminant), []
+    for texts in options.light or ():
+        kind, colon, parameters = texts[0].partition(":")
+        if len(texts) == 1 and colon:
+            if kind not in _LIGHTS:
+                raise ArgumentValueError(
+                    f"{ref('light')} {texts[0]!r} must begin with {' or '.join(repr(f'{name}:') for name in _LIGHTS)}"
+                    f"{did_you_mean(kind, _LIGHTS)}"
+                )
+            lights.append(
+                _called(texts[0], getattr(wd, _LIGHTS[kind]), parameters, {"illuminant": illuminant}, "light")
+            )
+            continue
+        try:
+            x, y, z = map(float, texts)
+        except ValueError:
+            raise ArgumentValueError(
+                f"{ref('light')} must be three numbers X Y Z, or KIND:name=value,…, got {' '.join(texts)!r}"
+            ) from None
+        lights.append(wd.DirectionalLight((x, y, z), illuminant=illuminant))
+    if not lights and view is not None:
+        frame = view.frame()
+        to_light = tuple((frame.back + 0.6 * frame.up + 0.3 * frame.right).tolist())
+        lights.append(wd.DirectionalLight(to_light, illuminant=illuminant))
+    return lights
+
+
+def environment_of(options: argparse.Namespace) -> wd.Environment | None:
+    """Return the environment that flags give."""
+    described = describe(wd.Environment.load)
+    values = given(options, described, "environment_")
+    words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
+    if options.environment is None:
+        if values or options.environment_behind:
+            flag = words[next(iter(values))] if values else "--environment-behind"
+            raise ArgumentValueError(f"{flag} requires --environment")
+        return None
+    if options.environment_behind and "background" in options:
+        raise ArgumentValueError("--environment-behind and --background both set the background: give one of them")
+    if options.environment_behind and Path(options.output).suffix.lower() != ".png":
+        raise ArgumentValueError(f"--environment-behind is for .png files, got --output {options.output}")
+    with renaming(words):
+        return wd.Environment.load(options.environment, **values)
+
+
+def scene_of(options: argparse.Namespace) -> tuple[Any, wd.HeightField, wd.View]:
+    """Return mesh, height field and view of a picture."""
+    heightfield = height_field_of(options)
+    mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
+    mesh = options.mesh if mesh is None else mesh
+    values = given(options, describe(wd.View))
+    eye, extent_y = values.pop("eye", None), values.pop("extent_y", None)
+    if eye is not None and "target" in values:
+        return mesh, heightfield, wd.View(eye, extent_y=extent_y, **values)
+    view = wd.View.fit(mesh, **values)
+    return mesh, heightfield, dataclasses.replace(view, eye=view.eye if eye is None else eye, extent_y=extent_y)

@@ -1,0 +1,306 @@
+"""Passes of lights: how a part of a light is sampled at the hits of rays, and coloured.
+
+The arrays that passes read and fill stand apart by what they hold: hits (``scene.gbuffer``), samples of one lobe, and
+sums. None of them changes the meaning of another.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels import light_samples, subdivision
+from warpdiff.kernels.structs import Footprint
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import IlluminatedMaterial, transmittances
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
+    from warpdiff.scene.camera_rays import CameraRays
+    from warpdiff.scene.gbuffer import GBuffer
+    from warpdiff.tables.lookup import ColourLookup
+
+
+@dataclass(frozen=True)
+class SurfaceOptics:
+    """What light meets: the reflectance of the surface besides its height field's diffraction.
+
+    Attributes:
+        coherence: The coherence.
+        area_um2: Area of the height field [µm²].
+        normal_reflectance: R(0) of Schlick's approximation; 1 for materials.
+        materials: Materials of the faces; None stands for ``normal_reflectance``.
+        masking: Whether V-cavity masking is included.
+        energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None is Stam's energy.
+        pigment: Strength of the pigment.
+        shadows: Whether the mesh may occlude the lights.
+    """
+
+    coherence: Coherence
+    area_um2: float
+    normal_reflectance: float
+    materials: tuple[Material | None, ...] = (None,)
+    masking: bool = True
+    energy: NDArray[np.float32] | None = None
+    pigment: float = 0.0
+    shadows: bool = True
+
+
+class PassContext:
+    """What the passes of a picture share: its rays, its surface's optics, and both as kernels read them.
+
+    Attributes:
+        rays: The camera rays.
+        optics: The optics of the surface.
+        is_pigmented: Whether the mesh has base colours that the pigment shows.
+        pigment_strength: Strength of the pigment over R(0); 0 without one.
+        materials_of_faces: Index of each face's material on the device; empty for a single material.
+        reflection: The struct ``Reflection`` of the kernels.
+    """
+
+    def __init__(self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None) -> None:
+        device = rays.options["device"]
+        self.rays, self.optics = rays, optics
+        self.is_pigmented = optics.pigment > 0.0 and rays.surface.has_base_colour
+        normal = optics.normal_reflectance
+        self.pigment_strength = optics.pigment / normal if self.is_pigmented else 0.0
+        faces = np.zeros(0, dtype=np.int32) if materials_of_faces is None else materials_of_faces
+        self.materials_of_faces = wp.array(faces, dtype=wp.int32, device=device)
+        grid_um = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
+        self._solid_angle = reflectance_factors.pigment_solid_angle(grid_um, optics.coherence, optics.area_um2)
+        through = np.zeros((0, 0, 3), dtype=np.float32)
+        if self.is_pigmented:
+            through = np.asarray([transmittances(normal, material) for material in optics.materials], dtype=np.float32)
+        energy = np.zeros((0, 0), dtype=np.float32) if optics.energy is None else optics.energy
+        self.reflection = light_samples.Reflection()
+        self.reflection.normal_reflectance = normal
+        self.reflection.masking = optics.masking
+        self.reflection.per_light_cosine = optics.coherence.kind == "source"
+        self.reflection.energy = wp.array(energy, dtype=wp.float32, device=device)
+        self.reflection.transmittances = wp.empty(through.shape[:2], dtype=wp.vec3f, device=device)
+        self.reflection.transmittances.assign(through)
+        self.reflection.materials = self.materials_of_faces
+
+    @property
+    def device(self) -> wp.Device:
+        """The Warp device."""
+        return self.rays.options["device"]
+
+    @property
+    def has_materials(self) -> bool:
+        """Whether the faces have several materials."""
+        return len(self.materials_of_faces) > 0
+
+    @property
+    def casts_shadows(self) -> bool:
+        """Whether the mesh may occlude the lights in the last view."""
+        return self.optics.shadows and self.rays.may_be_occluded
+
+    def pigment_white(self, illuminant: str | Spectrum) -> NDArray[np.float64]:
+        """Return the colour of a white pigment under an illuminant, linear sRGB: ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ."""
+        return colorimetry.xyz_to_rgb(self._solid_angle @ colorimetry.colour_products(illuminant))
+
+
+@dataclass(frozen=True)
+class LightSamples:
+    """One lobe at the hits of rays, which the next lobe overwrites; :meth:`LightPass.scatter` fills it.
+
+    Attributes:
+        occluded: Whether the mesh occludes the lobe, (n,).
+        any_occluded: Whether it occludes any lobe of a part, (n,).
+        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
+        to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
+        gains: Geometry factors, (n,); 0 where no light arrives.
+        footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
+        material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
+    """
+
+    occluded: wp.array
+    any_occluded: wp.array
+    scattering_vectors: wp.array
+    to_lights: wp.array
+    gains: wp.array
+    footprints: wp.array
+    material_gains: wp.array
+
+    @classmethod
+    def allocate(cls, rays: int, *, means: bool, has_materials: bool, device: wp.Device) -> LightSamples:
+        """Return the arrays for a number of rays, with footprints if they show ``means``."""
+
+        def empty(dtype: Any, size: int = rays) -> wp.array:
+            return wp.empty(size, dtype=dtype, device=device)
+
+        return cls(
+            empty(wp.bool), empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
+            empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
+        )  # fmt: skip
+
+    @property
+    def directions(self) -> list[wp.array]:
+        """Scattering vectors, directions to the light and geometry factors."""
+        return [self.scattering_vectors, self.to_lights, self.gains]
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """Rays that are shaded together, with the sums that they add to.
+
+    Attributes:
+        gbuffer: Their hits.
+        samples: Their samples of the last lobe.
+        xyz: Sums of colours, (n,).
+        coverage: Sums of hits, (n,); empty counts none.
+        illuminated: Whether light reached them, (n,); empty marks none.
+        unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
+        sky_errors: Estimated errors of skies, (n,); empty estimates none, as for cells.
+        deviation: Standard deviation of the rays' filter [pixels]; 0 for points.
+    """
+
+    gbuffer: GBuffer
+    samples: LightSamples
+    xyz: wp.array
+    coverage: wp.array
+    illuminated: wp.array
+    unserved_gain: wp.array
+    sky_errors: wp.array
+    deviation: float
+
+    @property
+    def sums(self) -> list[wp.array]:
+        """Colours, hits and illuminated rays."""
+        return [self.xyz, self.coverage, self.illuminated]
+
+
+@dataclass(frozen=True)
+class Counting:
+    """How a lobe's samples enter the sums of a batch.
+
+    Attributes:
+        weight: Weight of the colours.
+        counted: Weight of the hits; 0 where an earlier lobe counted them.
+        begins: Whether all sums begin with this lobe.
+        resets: Whether the sum of colours begins with it.
+    """
+
+    weight: float = 1.0
+    counted: float = 0.0
+    begins: bool = False
+    resets: bool = False
+
+
+class LightPass(ABC):
+    """Pass of a part of a light over the rays of one picture, made before the plan is known.
+
+    Attributes:
+        context: What the passes of the picture share.
+        illuminated: By lobe, material and spectrum: the illuminants on the materials.
+    """
+
+    def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
+        self.context = context
+        self.illuminated = [
+            tuple(
+                tuple(IlluminatedMaterial(spectrum, material) for spectrum in spectra)
+                for material in context.optics.materials
+            )
+            for spectra in spectra_of_lobes
+        ]
+        self._no_occlusion = wp.empty(0, dtype=wp.bool, device=context.device)
+
+    @property
+    def lobe_count(self) -> int:
+        """Number of lobes, which are sampled one after the other."""
+        return len(self.illuminated)
+
+    @property
+    @abstractmethod
+    def graph_key(self) -> tuple[Hashable, ...]:
+        """What the launches depend on besides values in arrays: a part of the key of a recorded CUDA graph."""
+
+    @abstractmethod
+    def begin(self, previous: LightPass | None) -> None:
+        """Fill the arrays of this pass, which are those of the pass before where they fit: recorded graphs read them.
+
+        Args:
+            previous: The pass of the same part of the picture before; None is the first.
+        """
+
+    @property
+    @abstractmethod
+    def is_prepared(self) -> bool:
+        """Whether shadow rays of samples are prepared."""
+
+    @abstractmethod
+    def prepare_sampling(self, samples: int) -> None:
+        """Prepare shadow rays of a number of samples per pixel, whose hits are known."""
+
+    @abstractmethod
+    def prepare_cells(self, pixels: int) -> None:
+        """Prepare shadow rays of the cells of a number of subdivided pixels."""
+
+    @abstractmethod
+    def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:
+        """Return the calls that sample a lobe at the hits of a batch, and add its pigment."""
+
+    @abstractmethod
+    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup, *, shadows: bool = True) -> list[KernelCall]:
+        """Return the calls that add the colours of a sampled lobe."""
+
+    def shade(self, batch: RayBatch, lookup: ColourLookup, *, shadows: bool) -> list[KernelCall]:
+        """Return the calls that add the colours of all lobes to a batch of cells, and where any lobe is occluded."""
+        calls, samples = [], batch.samples
+        occlusion = self.occlusion(samples, shadows=shadows)
+        for lobe in range(self.lobe_count):
+            calls += self.scatter(lobe, batch, Counting(), shadows=shadows)
+            if occlusion is samples.any_occluded:
+                inputs = [samples.occluded, lobe == 0]
+                calls.append(KernelCall(subdivision.any_occluded, inputs, [occlusion], in_runs=True))
+            calls += self.colour(lobe, batch, lookup, shadows=shadows)
+        return calls
+
+    @property
+    def has_penumbrae(self) -> bool:
+        """Whether the mesh may occlude some of several lobes."""
+        return self.lobe_count > 1 and self.context.casts_shadows
+
+    def occlusion(self, samples: LightSamples, *, shadows: bool = True) -> wp.array:
+        """Return which rays are occluded from any lobe; empty is none of them."""
+        return samples.any_occluded if shadows and self.has_penumbrae else self.lobe_occlusion(samples, shadows=shadows)
+
+    def lobe_occlusion(self, samples: LightSamples, *, shadows: bool) -> wp.array:
+        """Return which rays are occluded from the last lobe; empty is none of them."""
+        return samples.occluded if shadows and self.context.casts_shadows else self._no_occlusion
+
+    def penumbra_calls(
+        self,
+        lobe: int,  # noqa: ARG002 (of passes of several lobes)
+        batch: RayBatch,  # noqa: ARG002
+        occluded_power: wp.array,  # noqa: ARG002
+        errors: wp.array,  # noqa: ARG002
+    ) -> list[KernelCall]:
+        """Return the calls that add a sampled lobe to the occluded power, and after the last one its error."""
+        return []
+
+    def filter_footprints(self, batch: RayBatch) -> KernelCall:
+        """Return the call that finds the footprints of the rays' filter in (u, v)."""
+        rays, samples = self.context.rays, batch.samples
+        inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
+        return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)
+
+    def unevenness(self, batch: RayBatch) -> Any:
+        """Return the struct ``Unevenness`` of the kernels: what differs between pixels as their colours do."""
+        result = subdivision.Unevenness()
+        result.scattering_vectors, result.mirrored = batch.samples.scattering_vectors, batch.samples.to_lights
+        result.estimates = wp.empty(0, dtype=wp.vec2f, device=self.context.device)
+        return result

@@ -1,0 +1,72 @@
+"""Accumulators: sums over the lights of a picture, and the parts of their errors, one entry per pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import warp as wp
+
+# Fields that each light has for itself.
+_OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
+
+
+@dataclass(frozen=True)
+class Accumulators:
+    """Sums of a picture, or of one of its lights; passes of lights and their refinement fill them.
+
+    Attributes:
+        xyz: Sums of colours, ``wp.vec3f``.
+        coverage: Sums of hits; all lights share this array.
+        illuminated: Whether any light reached the pixel.
+        errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty for points.
+        edges: Whether an edge passes through the pixel, as its cells show; all lights share this array.
+        sky_errors: Errors of skies: of the last sky over footprints, and of the sums over cells of all skies; empty
+            without a sky.
+        penumbra_errors: Errors of partly occluded lights; empty if no light has several lobes.
+        occluded_power: Power of the last light's lobes that the mesh occludes; empty likewise.
+    """
+
+    xyz: wp.array
+    coverage: wp.array
+    illuminated: wp.array
+    errors: wp.array
+    edges: wp.array
+    sky_errors: wp.array
+    penumbra_errors: wp.array
+    occluded_power: wp.array
+
+    @classmethod
+    def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
+        """Return the sums of a number of pixels, for means or for points, without parts for skies and penumbrae."""
+
+        def zeros(dtype: type, size: int = pixels) -> wp.array:
+            return wp.zeros(size, dtype=dtype, device=device)
+
+        return cls(
+            zeros(wp.vec3f), zeros(wp.float64), zeros(wp.bool), zeros(wp.float32, pixels * means),
+            zeros(wp.bool, pixels * means), zeros(wp.vec2f, 0), zeros(wp.float32, 0), zeros(wp.float32, 0),
+        )  # fmt: skip
+
+    def extended(self, *, skies: bool, penumbrae: bool) -> Accumulators:
+        """Return these sums with parts for skies and for penumbrae, where a picture has such lights."""
+        result, pixels, device = self, len(self.xyz), self.xyz.device
+        if skies and not len(self.sky_errors):
+            result = replace(result, sky_errors=wp.zeros(pixels, dtype=wp.vec2f, device=device))
+        if penumbrae and not len(self.penumbra_errors):
+            errors, power = (wp.zeros(pixels, dtype=wp.float32, device=device) for _ in range(2))
+            result = replace(result, penumbra_errors=errors, occluded_power=power)
+        return result
+
+    def for_one_light(self) -> Accumulators:
+        """Return sums of a single light, which share what belongs to the pixels."""
+        own = {name: wp.zeros_like(getattr(self, name)) for name in _OF_ONE_LIGHT}
+        return replace(self, **own)
+
+    def sharing(self, sums: Accumulators) -> Accumulators:
+        """Return the same sums of a single light that share what belongs to the pixels with other sums."""
+        return replace(sums, **{name: getattr(self, name) for name in _OF_ONE_LIGHT})
+
+    def clear_errors(self) -> None:
+        """Set all errors and edges to zero."""
+        for array in (self.errors, self.edges, self.sky_errors, self.penumbra_errors):
+            array.zero_()

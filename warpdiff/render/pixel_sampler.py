@@ -1,0 +1,145 @@
+"""Pixel sampler: the pixels' own rays, under one lobe of one light at a time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from warpdiff.lights.light_pass import Counting, LightSamples, RayBatch
+from warpdiff.request.directions import DirectionRange, DirectionSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.device.kernel_calls import KernelCall
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.lights.light_pass import LightPass, PassContext
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.render.accumulators import Accumulators
+
+# Limit of the samples per pixel whose directions are measured; cells of means that are measured in all, as these see
+# directions that pixels' centres do not, and their limit per pixel.
+_SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
+
+
+class LobeIndex(NamedTuple):
+    """A lobe of one of a picture's passes."""
+
+    light: int
+    lobe: int
+
+
+class PixelSampler:
+    """The pixels' own rays: one sample of every pixel under one lobe; :meth:`scatter` fills its arrays.
+
+    Attributes:
+        samples: The last lobe at the hits of the last sample.
+    """
+
+    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool) -> None:
+        self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
+        self.samples = LightSamples.allocate(
+            context.rays.size, means=means, has_materials=context.has_materials, device=context.device
+        )
+        self._passes: Sequence[LightPass] = ()
+        self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Discard hits and samples, as for another view."""
+        self._sample: int | None = None
+        self._lobe: LobeIndex | None = None
+
+    def set_lights(self, passes: Sequence[LightPass]) -> None:
+        """Set the passes of the lights; hits stay valid, and samples do not."""
+        self._passes, self._lobe = passes, None
+
+    def lobes(self) -> Iterator[LobeIndex]:
+        """Yield the lobes of all passes."""
+        for light, light_pass in enumerate(self._passes):
+            for lobe in range(light_pass.lobe_count):
+                yield LobeIndex(light, lobe)
+
+    def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
+        """Return these rays as a batch that adds to sums; ``deviation`` is that of the filter [pixels]."""
+        unserved_gain = self._no_gains if unserved_gain is None else unserved_gain
+        return RayBatch(
+            self._context.rays.gbuffer, self.samples, sums.xyz, sums.coverage, sums.illuminated, unserved_gain,
+            sums.sky_errors, deviation,
+        )  # fmt: skip
+
+    def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
+        """Find the hits of a sample of every pixel."""
+        self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
+        self._sample = sample
+
+    def _trace_calls(self, sample: int, samples_per_pixel: int) -> list[KernelCall]:
+        self.invalidate()
+        return self._context.rays.trace(sample, samples_per_pixel)
+
+    def scatter(
+        self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
+    ) -> None:
+        """Sample a lobe at the hits of a sample of every pixel, and add its pigment; nothing if this is the last call.
+
+        Rays are traced first, if their hits are those of another sample.
+        """
+        if (self._sample, self._lobe) == (sample, index):
+            return
+        rays, light_pass = self._context.rays, self._passes[index.light]
+        count = samples_per_pixel or self._samples_per_pixel
+        calls = self._trace_calls(sample, count) if self._sample != sample else []
+        if self._context.casts_shadows and not light_pass.is_prepared:
+            # The number of rays that hit the mesh decides how shadow rays are traced.
+            rays.launch(calls)
+            calls = []
+            light_pass.prepare_sampling(self._samples_per_pixel)
+        is_first = index == LobeIndex(0, 0)
+        begins = is_first and sample == 0
+        # Each light finds its colours of means by itself; hits count once.
+        counting = Counting(
+            1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
+            resets=begins or (self._means and index.lobe == 0),
+        )  # fmt: skip
+        rays.launch([*calls, *light_pass.scatter(index.lobe, self.batch(sums), counting)])
+        self._sample, self._lobe = sample, index
+
+    def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+        """Return the last scattering vectors, directions to the light and geometry factors."""
+        scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
+        return scattering_vectors, to_lights, gains
+
+    def measure_directions(
+        self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
+    ) -> tuple[DirectionRange, DirectionSample, int]:
+        """Return the range of all illuminated directions, some of them, and their number.
+
+        This is a first pass over the rays, which takes a hundredth of the time of the colours.
+        """
+        within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
+        sampled, lobes = [], list(self.lobes())
+        # A few samples per pixel show what all do, and the own rays of many pixels what cells do.
+        per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
+        if self._means:
+            self.trace(0)
+            pixels = max(self._context.rays.gbuffer.hit_count, 1)
+            per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
+        for sample in range(measured):
+            for index in lobes:
+                # Means begin with the pixels' centres.
+                self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
+                scattering_vectors, to_lights, gains = self.directions()
+                within = within.joined(
+                    DirectionRange.of(heightfield, coherence, scattering_vectors, to_lights, gains > 0.0)
+                )
+                count += int(np.count_nonzero(gains > 0.0))
+                if self._means or sample == 0:
+                    parts = len(lobes) * (measured if self._means else 1)
+                    sampled.append(DirectionSample.among(scattering_vectors, to_lights, gains, parts))
+        if measured > self._samples_per_pixel:
+            self.invalidate()
+        return within, DirectionSample.joined(sampled), count * self._samples_per_pixel // measured

@@ -1,0 +1,138 @@
+"""Tile buffers: arrays for the rays of subpixel cells, tile after tile."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import warp as wp
+
+from warpdiff.core.threads import parallel_for
+from warpdiff.kernels import refinement_levels
+from warpdiff.kernels.colour_lookup import BATCH
+from warpdiff.lights.light_pass import LightSamples, RayBatch
+from warpdiff.render import pixel_filter
+from warpdiff.scene.gbuffer import GBuffer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from warpdiff.device.kernel_calls import Pipeline
+
+
+class BufferKind(NamedTuple):
+    """Which arrays tile buffers have: gains that a table excludes, base colours, gains of one of several materials."""
+
+    needs_sampling: bool
+    is_pigmented: bool
+    has_materials: bool
+
+
+@dataclass(frozen=True)
+class TileBuffers:
+    """Buffers for the rays of cells.
+
+    Attributes:
+        gbuffer: Their hits.
+        samples: Their samples of the last lobe.
+        colours: Their colours.
+        unserved_gain: Geometry factors of directions that a table excludes.
+        tiles: By level, the pixels whose cells these are.
+    """
+
+    gbuffer: GBuffer
+    samples: LightSamples
+    colours: wp.array
+    unserved_gain: wp.array
+    tiles: dict[int, wp.array]
+
+    @classmethod
+    def allocate(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
+        """Return buffers of a kind for a number of rays."""
+        tiles = {
+            level: wp.empty(rays // refinement_levels.rays_at(level), dtype=wp.int32, device=device)
+            for level in refinement_levels.LEVELS
+        }
+        return cls(
+            GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
+            LightSamples.allocate(rays, means=True, has_materials=kind.has_materials, device=device),
+            wp.empty(rays, dtype=wp.vec3f, device=device),
+            wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
+            tiles,
+        )
+
+    def batch(self, level: int) -> RayBatch:
+        """Return the cells of a level as a batch of rays, which count no pixels."""
+        device = self.colours.device
+        none = [wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool, wp.vec2f)]
+        coverage, illuminated, sky_errors = none
+        return RayBatch(
+            self.gbuffer, self.samples, self.colours, coverage, illuminated, self.unserved_gain, sky_errors,
+            deviation=pixel_filter.deviation_at(level, means=True),
+        )  # fmt: skip
+
+
+class SharedTileBuffers:
+    """Tile buffers on the CPU, of which each thread takes a part: launches over a part are launches over all buffers.
+
+    Attributes:
+        buffers: All of them.
+    """
+
+    def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
+        """Make a number of parts."""
+        # Whole pixels of any level, and whole batches of look-ups.
+        multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
+        self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
+        rays = parts * self._size
+        self.buffers = TileBuffers.allocate(rays, kind=kind, device=device)
+        self._nearest = self.buffers.gbuffer.pixels.nearest.numpy()
+        self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
+        self._colours = self.buffers.colours.numpy()
+        self._gains = [self.buffers.samples.gains.numpy(), self.buffers.samples.material_gains.numpy()]
+        # Appending to and taking from a list are atomic.
+        self._free = [part * self._size for part in range(parts)]
+
+    def shade(
+        self, level: int, pixels: NDArray[np.int32], pipelines: Sequence[tuple[Pipeline, range]],
+        nearest: NDArray[np.uint64], *, threads: int, progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
+        """Launch pipelines over the cells of pixels at a level.
+
+        Args:
+            level: The level.
+            pixels: The pixels.
+            pipelines: Pipelines, each for a range of the pixels; they add colours to zeros.
+            nearest: Nearest faces of the cells' rays.
+            threads: Number of threads, for each of which there is a part.
+            progress: Function of the share that is done; None is none.
+        """
+        rays = refinement_levels.rays_at(level)
+        slices = [
+            (pipeline, range(among.start + part.start, among.start + part.stop))
+            for pipeline, among in pipelines
+            for part in pixel_filter.slices(len(among), level, threads)
+        ]
+        # The largest come first, so that threads finish together.
+        slices.sort(key=lambda piece: -len(piece[1]))
+
+        def work(piece: tuple[Pipeline, range]) -> None:
+            pipeline, part = piece
+            first = self._free.pop()
+            end = first + len(part) * rays
+            self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
+            self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
+            self._colours[first:end] = 0.0
+            # Look-ups take whole batches.
+            for gains in self._gains:
+                gains[end : -(-end // BATCH) * BATCH] = 0.0
+            try:
+                pipeline.launch(range(first, end))
+            finally:
+                self._free.append(first)
+
+        parallel_for(work, slices, threads=threads, progress=progress)

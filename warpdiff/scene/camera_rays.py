@@ -1,0 +1,183 @@
+"""Camera rays: the faces that rays through the pixels of a picture hit, by rasterization or by a hierarchy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
+from warpdiff.kernels import bvh, primary_hits
+from warpdiff.kernels.structs import Cells, Sampling
+from warpdiff.scene import device_mesh
+from warpdiff.scene.gbuffer import GBuffer
+from warpdiff.scene.occluder_grid import grid_for, no_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.camera import View
+    from warpdiff.scene.mesh_import import Surface
+
+_SEED = 0
+# Numbers of pixels and of faces per slice of a launch on the CPU (fitted: a slice takes a thread about a millisecond).
+RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
+# A grid of faces pays from this many faces per shadow ray on (fitted: a face takes a fifth of the time in a grid that a
+# ray takes through the hierarchy, and a ray in the grid a quarter).
+_FACES_PER_RAY = 3
+
+
+class CameraRays:
+    """Rays through the pixels of a picture of a surface; the device finds their hits through a hierarchy.
+
+    Attributes:
+        surface: The surface.
+        scene: The surface's arrays on the device.
+        view: The last view.
+        camera: The last view as the struct ``Camera`` of the kernels.
+        width: Number of pixels per row, with those of the margin.
+        height: Number of rows, likewise.
+        options: Device and number of threads of launches.
+        gbuffer: The hits of the pixels' own rays, which :meth:`trace` fills.
+        may_be_occluded: Whether the mesh could hide a light from any point that the view shows.
+    """
+
+    def __init__(
+        self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
+    ) -> None:
+        """Prepare the rays of a view, and of later views of the same size.
+
+        Args:
+            surface: The surface.
+            view: The first view.
+            smooth: Whether vertex normals are interpolated.
+            margin: Number of additional pixels on each side.
+            device: The Warp device.
+            threads: Number of threads on the CPU.
+        """
+        self.surface, self._margin = surface, margin
+        self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
+        self.size = self.width * self.height
+        self.scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
+        self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
+        # Positions of a sample in each pixel; empty is the pixels' centres.
+        self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
+        self.options: dict[str, Any] = {"device": device, "threads": threads}
+        self.gbuffer = GBuffer.allocate(self.size, coloured=surface.has_base_colour, device=device)
+        self.set_view(view)
+
+    def set_view(self, view: View) -> None:
+        """Set the view, of the same size as any before."""
+        self.view = view
+        self.camera = device_mesh.camera(view, self.surface, axes=self._axes, margin=self._margin)
+        self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
+
+    def trace(self, sample: int, samples: int) -> list[KernelCall]:
+        """Return the calls that trace one of several samples of every pixel."""
+        return self.calls(self._sampling(sample, samples), self.gbuffer)
+
+    def launch(self, calls: Sequence[KernelCall]) -> None:
+        """Launch calls over the pixels' own rays."""
+        launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
+
+    def calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+        """Return the calls that find hits of rays, and the shading frames there."""
+        inputs = [self.camera, self.scene.with_hierarchy(), sampling]
+        trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
+        return [trace, *self._known_face_calls(sampling, gbuffer)]
+
+    def _known_face_calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+        """Return the calls that intersect rays with the faces that are known to be nearest."""
+        inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
+        return [
+            KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
+            KernelCall(primary_hits.make_shading_frames, [self.scene.bare, gbuffer.pixels], [], in_runs=True),
+        ]
+
+    def _sampling(self, sample: int, samples: int) -> Any:
+        """Return the positions of a sample of every pixel; a single one is in the centre."""
+        sampling = Sampling()
+        if samples > 1:
+            if not len(self._offsets):
+                self._offsets = wp.empty(self.size, dtype=wp.vec2d, device=self.options["device"])
+            launch(
+                primary_hits.place_samples, self.size, [sample, samples, _SEED], [self._offsets],
+                slice_size=RAYS_OF_SLICE, in_runs=True, **self.options,
+            )  # fmt: skip
+            sampling.offsets = self._offsets
+        return sampling
+
+    def shadow_grid(
+        self,
+        to_light: Sequence[float] | None,  # noqa: ARG002 (of the rays that know their hits)
+        shadow_rays: Callable[[], int],  # noqa: ARG002
+    ) -> Any:
+        """Return the struct ``ShadowGrid`` for shadow rays to a light, which here asks the hierarchy.
+
+        Args:
+            to_light: Direction to a directional light; None for other lights.
+            shadow_rays: Function that counts the shadow rays.
+        """
+        return no_grid(self.scene)
+
+
+class RasterizedRays(CameraRays):
+    """Camera rays on the CPU: faces are rasterized first, so that a ray meets a known face, or none.
+
+    Rasterizing takes a quarter of the time that a hierarchy takes there, so that this class stays apart.
+    """
+
+    def trace(self, sample: int, samples: int) -> list[KernelCall]:
+        """Return the calls that trace one of several samples of every pixel, whose faces are found at once."""
+        sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
+        nearest.fill_(primary_hits.UNSEEN)
+        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
+        return self.calls(sampling, self.gbuffer)
+
+    def calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+        """Return the calls that find hits of rays whose nearest faces are known, and the shading frames there."""
+        return self._known_face_calls(sampling, gbuffer)
+
+    def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
+        """Return the nearest faces of the cells of a number of pixels, pixel after pixel."""
+        nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
+        self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
+        return np.asarray(nearest.numpy())
+
+    def _rasterize(self, sampling: Any, cells: Any, most_offset: float, nearest: wp.array) -> None:
+        inputs = [self.camera, self.scene.bare, sampling, cells, most_offset]
+        launch(
+            primary_hits.rasterize, self.scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
+            **self.options,
+        )  # fmt: skip
+
+    def shadow_grid(self, to_light: Sequence[float] | None, shadow_rays: Callable[[], int]) -> Any:
+        """Return a grid of faces if it pays for so many shadow rays, and otherwise one that asks the hierarchy."""
+        count = shadow_rays()
+        if to_light is None or _FACES_PER_RAY * count <= self.scene.face_count:
+            return no_grid(self.scene)
+        return grid_for(self.surface, self.scene, to_light, **self.options)
+
+
+def rays_for(
+    surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool | None = None,
+    device: wp.Device, threads: int,
+) -> CameraRays:  # fmt: skip
+    """Return the rays that suit a device.
+
+    Args:
+        surface: The surface.
+        view: The first view.
+        smooth: Whether vertex normals are interpolated.
+        margin: Number of additional pixels on each side.
+        device_driven: Whether the device finds hits without the host, so that launches can be recorded; None is on a
+            GPU only.
+        device: The Warp device.
+        threads: Number of threads on the CPU.
+    """
+    on_device = not device.is_cpu if device_driven is None else device_driven
+    rays = CameraRays if on_device else RasterizedRays
+    return rays(surface, view, smooth=smooth, margin=margin, device=device, threads=threads)

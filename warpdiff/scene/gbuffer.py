@@ -1,0 +1,45 @@
+"""G-buffers: what rays hit and the shading frames there, without any light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.kernels.structs import Pixels
+
+# Fields of the struct that hold a vector for each ray.
+_VECTORS = ("tangent", "bitangent", "normal", "to_view", "shadow_origin")
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Hits of rays; the kernel calls of :class:`~warpdiff.scene.camera_rays.CameraRays` fill it.
+
+    Attributes:
+        pixels: The struct ``Pixels`` of the kernels, whose arrays have one entry per ray.
+    """
+
+    pixels: Any
+
+    @classmethod
+    def allocate(cls, rays: int, *, coloured: bool, device: wp.Device) -> GBuffer:
+        """Return the arrays for a number of rays, with base colours if ``coloured``."""
+
+        def empty(dtype: Any, size: int = rays) -> wp.array:
+            return wp.empty(size, dtype=dtype, device=device)
+
+        pixels = Pixels()
+        pixels.nearest = empty(wp.uint64)
+        pixels.hit, pixels.face, pixels.place = empty(wp.int32), empty(wp.int32), empty(wp.vec2f)
+        for name in _VECTORS:
+            setattr(pixels, name, empty(wp.vec3f))
+        pixels.base_colour = empty(wp.vec3f, rays * coloured)
+        return cls(pixels)
+
+    @property
+    def hit_count(self) -> int:
+        """The number of rays that hit the mesh, which the host reads from the device."""
+        return int(np.count_nonzero(self.pixels.hit.numpy()))
