@@ -146,7 +146,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    result = _unmeasured(request, direction_range, sample)
+    result = _unmeasured(request, direction_range, sample, upper)
     affordable = _affordable_table_cost(request, result, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
         result = _measured(request, direction_range, sample, upper, affordable)
