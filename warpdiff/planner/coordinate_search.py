@@ -37,6 +37,11 @@ MIN_BRIGHT = 64
 _SHARE_BY_FEW = 0.1
 
 
+import os
+_OCTAVES = int(os.environ.get("OCT", 3))
+_QS = float(os.environ.get("QS", 1))
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """A number of a plan that a search changes in steps.
@@ -146,8 +151,7 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
     by_mirror, bright = (1.0 if count >= MIN_BRIGHT else _SHARE_BY_FEW for count in trial.bright)
     registers = math.ceil(plan.terms / LANES)
-    # Down to one wavelength.
-    octave_steps = SETS_PER_OCTAVE * max(plan.wavelengths, 1).bit_length()
+    octave_steps = _OCTAVES * SETS_PER_OCTAVE
     steps: list[tuple[str, float, int, Callable[[Plan, int], Plan], int]] = [
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps), 1)
     ]

