@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import warpdiff as wd
-from warpdiff.apps.data_folder import data_folder
+from warpdiff.apps.demo import data_folder
 
 HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data next to a checkout"
 

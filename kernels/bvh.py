@@ -1,4 +1,4 @@
-"""Rays through a bounding volume hierarchy: all rays on a GPU, some shadow rays on the CPU."""
+"""Camera rays through a bounding volume hierarchy, on a GPU; shadow rays ask it by Warp's own query."""
 
 import warp as wp
 
@@ -11,12 +11,6 @@ wp.set_module_options(compile_options.options())
 
 # Beyond any distance between two points of the unit sphere.
 FAR = wp.constant(wp.float32(4.0))
-
-
-@wp.func
-def occluded(mesh_id: wp.uint64, origin: wp.vec3f, direction: wp.vec3f, far: wp.float32) -> wp.bool:
-    """Whether the mesh is met on the way from ``origin`` along the unit vector ``direction``; ``FAR`` is infinity."""
-    return wp.mesh_query_ray_anyhit(mesh_id, origin, direction, far)
 
 
 @wp.func

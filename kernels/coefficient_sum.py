@@ -13,6 +13,7 @@ import types
 import warp as wp
 
 from warpdiff.kernels import compile_options
+from warpdiff.kernels.indices import cyclic
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
@@ -165,15 +166,6 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         )
 
     @wp.func
-    def wrapped(index: wp.int32, count: wp.int32) -> wp.int32:
-        """An index into an axis that repeats."""
-        if index < 0 or index >= count:
-            index = index % count
-            if index < 0:
-                index = index + count
-        return index
-
-    @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
         # Positions reach hundreds of coefficients and Gaussians are narrow: the integer part is taken off in float64.
@@ -232,7 +224,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             shrink_x = wp.exp(-2.0 * along)
         elif last_x > first_x:
             start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
-        y = wrapped(iy + first_y + table.origin_y, table.count_y)
+        y = cyclic(iy + first_y + table.origin_y, table.count_y)
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
@@ -244,7 +236,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 g = gy * wp.exp(-along * dx * dx)
                 start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
             step_x = start_step_x
-            x = wrapped(ix + first_x + table.origin_x, table.count_x)
+            x = cyclic(ix + first_x + table.origin_x, table.count_x)
             row = y * table.count_x
             for _i in range(first_x, last_x + 1):
                 if wp.static(powers):
@@ -288,8 +280,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for k in range(1, table.taps_x.shape[0]):
             weights = weights * fx + table.taps_x[k]
         rows = table.taps_y.shape[0]
-        y = wrapped(iy - (rows - 1) // 2 + table.origin_y, table.count_y)
-        first_x = wrapped(ix - wp.static(TAPS // 2 - 1) + table.origin_x, table.count_x)
+        y = cyclic(iy - (rows - 1) // 2 + table.origin_y, table.count_y)
+        first_x = cyclic(ix - wp.static(TAPS // 2 - 1) + table.origin_x, table.count_x)
         total_re = wp.float32(0.0)
         total_im = wp.float32(0.0)
         for j in range(rows):
@@ -417,6 +409,4 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 reflectance = gain * power
             reflectance_out[i, k] = reflectance
 
-    return types.SimpleNamespace(
-        row=row_t, taps=taps_t, Table=Table, integrate=integrate, sample=sample, wrapped=wrapped
-    )
+    return types.SimpleNamespace(row=row_t, taps=taps_t, Table=Table, integrate=integrate, sample=sample)

@@ -19,6 +19,7 @@ import types
 import warp as wp
 
 from warpdiff.kernels import compile_options, quadratic_spline
+from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
 # Loops that stay loops compile faster.
@@ -59,15 +60,6 @@ class FootprintTaps:
 def spline(away: wp.float32) -> wp.vec3f:
     """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
-
-
-@wp.func
-def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
-    """An index around a turn."""
-    remainder = index % count
-    if remainder < 0:
-        remainder += count
-    return remainder
 
 
 @wp.func

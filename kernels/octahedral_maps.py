@@ -58,19 +58,14 @@ def on_level(sky: SkyMap, level: wp.int32, place: wp.vec2f) -> wp.vec4f:
 
 
 @wp.func
-def radiance_at(sky: SkyMap, place: wp.vec2f, variance: wp.float32) -> wp.vec4f:
-    """Radiance, blurred by a variance."""
-    last = sky.sides.shape[0] - 1
-    level = wp.clamp(0.5 * wp.log2(wp.max(variance, 1.0e-12) / sky.variance), 0.0, wp.float32(last))
-    first = wp.min(wp.int32(level), last - 1)
-    t = level - wp.float32(first)
-    return (1.0 - t) * on_level(sky, first, place) + t * on_level(sky, first + 1, place)
-
-
-@wp.func
 def light_along(sky: SkyMap, along: wp.vec3f, variance: wp.float32) -> wp.vec4f:
     """What comes from there, blurred by a variance."""
     in_sky = wp.vec3f(
         sky.turn[0] * along[0] - sky.turn[1] * along[2], along[1], sky.turn[1] * along[0] + sky.turn[0] * along[2]
     )
-    return radiance_at(sky, on_octahedron(in_sky), variance)
+    place = on_octahedron(in_sky)
+    last = sky.sides.shape[0] - 1
+    level = wp.clamp(0.5 * wp.log2(wp.max(variance, 1.0e-12) / sky.variance), 0.0, wp.float32(last))
+    first = wp.min(wp.int32(level), last - 1)
+    t = level - wp.float32(first)
+    return (1.0 - t) * on_level(sky, first, place) + t * on_level(sky, first + 1, place)

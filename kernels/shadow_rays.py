@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options
 from warpdiff.kernels.atomics import atomic_increment
-from warpdiff.kernels.bvh import FAR, occluded
+from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
@@ -190,5 +190,5 @@ def trace_shadow_rays(
             far = wp.min(FAR, wp.length(along))
             along = wp.normalize(along)
         if pixels.hit[ray] != 0 and wp.dot(pixels.normal[ray], along) > FACING_AWAY:
-            is_occluded = occluded(grid.mesh_id, origin, along, far)
+            is_occluded = wp.mesh_query_ray_anyhit(grid.mesh_id, origin, along, far)
         occluded_out[ray] = is_occluded

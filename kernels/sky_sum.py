@@ -13,7 +13,7 @@ import math
 import warp as wp
 
 from warpdiff.kernels import compile_options, thresholds
-from warpdiff.kernels.bvh import FAR, occluded
+from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
 from warpdiff.kernels.octahedral_maps import SkyMap, direction_at, light_along, on_octahedron
 from warpdiff.kernels.shading_frames import LEAST_COSINE
@@ -45,7 +45,7 @@ NEAR_HORIZON = wp.constant(8.0)
 PLACES = wp.constant(5)
 WIDTHS = wp.constant(wp.vec3f(1.03, 1.01, 0.83))
 # By how much phases change, of an entry of w over half the range of w: half of the root of what the table allows
-# (``sky_table._MOST_PHASE2``).
+# (``sky_cells._MOST_PHASE2``).
 PHASE_AN_ENTRY = 0.08
 # What errors count that all nodes have alike, of those that are as if by chance.
 ALIKE = wp.constant(5.0)
@@ -378,21 +378,12 @@ def sky_visibility(mesh_id: wp.uint64, origin: wp.vec3f, normal: wp.vec3f, of_fo
                 (wp.float32(x) + 0.5) * wp.static(1.0 / _SIDE), (wp.float32(z) + 0.5) * wp.static(1.0 / _SIDE)
             )
             # Below the horizon, where no light comes from, texels are beside others that count.
-            if wp.dot(along, normal) > 0.0 and occluded(mesh_id, origin, along, FAR):
+            if wp.dot(along, normal) > 0.0 and wp.mesh_query_ray_anyhit(mesh_id, origin, along, FAR):
                 continue
             for down in range(step):
                 texel = (row + down) * wp.static(_SIDE) + column
                 visibility[texel // 32] = visibility[texel // 32] | (wp.uint32(2 * step - 1) << wp.uint32(texel % 32))
     return visibility
-
-
-@wp.func
-def hides_any(visibility: open_t) -> wp.bool:
-    """Whether the sky is hidden in any direction."""
-    result = wp.bool(False)
-    for word in range(wp.static(_WORDS)):
-        result = result or ~visibility[word] != wp.uint32(0)
-    return result
 
 
 @wp.func
@@ -413,7 +404,8 @@ def frame_of(
         result.material = reflection.materials[pixels.face[i]]
     if shadows:
         result.visibility = sky_visibility(mesh_id, pixels.shadow_origin[i], result.normal, is_cell, i)
-        result.hides = hides_any(result.visibility)
+        for word in range(wp.static(_WORDS)):
+            result.hides = result.hides or ~result.visibility[word] != wp.uint32(0)
     return result
 
 

@@ -297,8 +297,8 @@ def resolve_pixels(
     must_subdivide: wp.bool, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
-    coverage_out: wp.array(dtype=wp.float64), illuminated_out: wp.array(dtype=wp.bool),
-    edges_out: wp.array(dtype=wp.bool), marks_out: wp.array(dtype=wp.uint8),
+    coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
+    illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Set pixels to what cells give them; by how much that changed with the last levels is what they may err by.
 
@@ -317,7 +317,8 @@ def resolve_pixels(
         run: How many a thread takes.
         colours_out: Colours before, and now, times coverage.
         errors_out: ‖ΔXYZ‖, before and now.
-        coverage_out: Shares of cells that meet the mesh.
+        coverage_out: Shares of cells that meet the mesh, of the last level under any light.
+        coverage_levels_out: That level.
         illuminated_out: Set where any cell has a colour.
         edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
         marks_out: ``ACTIVE`` for those to be split again, ``CONVERGED`` for others that are marked.
@@ -382,7 +383,9 @@ def resolve_pixels(
                 error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
         colours_out[pixel] = colour
         errors_out[pixel] = error
-        coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
+        if level >= wp.int32(coverage_levels_out[pixel]):
+            coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
+            coverage_levels_out[pixel] = wp.uint8(level)
         if wp.length_sq(colour) > wp.float32(0.0):
             illuminated_out[pixel] = True
             edges_out[pixel] = edges_out[pixel] or sums.has_edge[compact_index(sums.ranks, pixel)]

@@ -12,6 +12,7 @@ import warp as wp
 
 from warpdiff.kernels import colour_lookup
 from warpdiff.kernels.compile_options import options
+from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
 # As in footprint_lookup.h.
@@ -168,7 +169,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         fraction = wp.clamp(fraction, 0, fractions - 1)
         result = row_t()
         for j in range(count):
-            at = colour_lookup.cyclic(azimuth + j, azimuths)
+            at = cyclic(azimuth + j, azimuths)
             result += taps.weights[step, fraction, j] * row_at(table, level, at, ring)
         return result
 

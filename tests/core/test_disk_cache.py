@@ -52,6 +52,20 @@ def test_another_question_has_another_answer(folder, key, heights):
     assert len(list(folder.iterdir())) == 2
 
 
+@pytest.mark.usefixtures("folder")
+def test_arrays_of_other_code_are_not_read(tmp_path, monkeypatch):
+    """Coefficients that another release wrote, or this one before a change, have another key."""
+    digests = []
+    for text in ("ORDER = 1", "ORDER = 2", "ORDER = 2"):
+        (tmp_path / "series.py").write_text(text)
+        digests.append(disk_cache._code_digest.__wrapped__(tmp_path))
+    assert digests[0] != digests[1] == digests[2]
+    for number, digest in enumerate(digests):
+        monkeypatch.setattr(disk_cache, "_code_digest", lambda *_, value=digest: value)
+        arrays = disk_cache.cached_on_disk("key", HEIGHTS, counted(float(number))[1])
+        assert arrays["rows"][0, 0] == min(number, 1)
+
+
 def archive(**arrays):
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)

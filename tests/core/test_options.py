@@ -158,8 +158,7 @@ REFUSED = [
     ("kind", ["plain"], ArgumentValueError, "must be one of 'normalised', 'plain', got ['plain']"),
     ("pitch", (1, 2, 3), ArgumentValueError, "must be one number or a pair (y, x), got 3 values"),
     ("pitch", "wide", ArgumentTypeError, "must be a number, got str 'wide'"),
-    ("size", 3, ArgumentValueError, "must be 2 integers, got 3"),
-    ("size", (1, 2.5), ArgumentTypeError, "must be an integer, got float 2.5"),
+    ("size", 3, ArgumentValueError, "must be a pair (y, x) of integers, got 3"),
     ("centre", (1, 2), ArgumentValueError, "must be 3 numbers, got shape (2,)"),
     ("layers", "normal", ArgumentTypeError, "must be a tuple or list of 'normal', 'depth', got 'normal'"),
     ("layers", ["albedo"], ArgumentValueError, "must be one of 'normal', 'depth', got 'albedo'"),
@@ -176,3 +175,8 @@ def test_other_values_are_refused_by_name(name, value, error, message):
         Group(required=1, **{name: value})
     assert str(refused.value) == f"{name} {message}"
     assert spelled(refused.value, lambda word, _: f"<{word}>") == f"<{name}> {message}"
+
+
+def test_an_element_of_a_pair_is_refused_by_its_index():
+    with pytest.raises(ArgumentTypeError, match=r"^size\[1\] must be an integer, got float 2\.5$"):
+        Group(required=1, size=(1, 2.5))

@@ -28,7 +28,7 @@ SM = 90
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "octahedral_maps", "shading_frames", "structs"}
+FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "octahedral_maps", "shading_frames", "structs"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {

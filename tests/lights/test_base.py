@@ -29,6 +29,10 @@ def dim_by_profile(
 
 
 class SpotPass(LobePass):
+    @property
+    def graph_key(self):
+        return *super().graph_key, self.part.lobes[0].position, self.part.axis
+
     def gain_calls(self, lobe, batch):
         surface = self.context.rays.surface
         position = (np.array(self.part.lobes[lobe].position) - surface.centre) / surface.radius
@@ -36,7 +40,7 @@ class SpotPass(LobePass):
         return [KernelCall(dim_by_profile, inputs, [batch.samples.gains], in_runs=True)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpotLobes(LobeSet):
     axis: tuple[float, float, float]
 
@@ -81,3 +85,17 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     assert len(ratios) > 500
     assert np.median(ratios) == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(np.percentile(ratios, (1.0, 99.0)), 1.0, atol=1e-2)
+
+
+def test_a_spotlight_that_turns_is_recorded_anew(fingers):
+    """Its kernel takes position and axis by value."""
+    body = meshes.tube(segments_along=12, segments_around=12)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
+    lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]
+    renderer = wd.Renderer(body, fingers, lights[0], view, coherence=wd.Coherence(sigma_um=4.0), tolerance=0.2)
+    keys = []
+    for light in [*lights, lights[0]]:
+        renderer.draw(light)
+        keys.append(renderer._mine.picture.graph_key)
+    assert keys[0] == keys[3]
+    assert len(set(keys)) == 3

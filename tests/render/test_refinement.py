@@ -96,7 +96,7 @@ def test_pictures_keep_their_tolerance(truth, fingers, table):
         assert len(found) > 100
         assert np.percentile(found, 99.0) < tolerance
         assert np.median(found) < 0.25 * tolerance
-        assert 0.0 < image.report.refined_share <= 1.5
+        assert 0.0 < image.report.refined_share < 1.0
         assert f"meets its tolerance of {tolerance:g}" in str(image.report).splitlines()[0]
 
 
@@ -212,15 +212,18 @@ def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
-@pytest.mark.parametrize(("name", "most"), [("unconverged_share", 0.01), ("unconverged_edge_share", 0.05)])
-def test_more_errors_are_let_pass_at_edges(name, most):
+@pytest.mark.parametrize(
+    ("name", "most", "told"),
+    [("unconverged_share", 0.01, r"1\.1 % of"), ("unconverged_edge_share", 0.05, r"5\.1 % of")],
+)
+def test_more_errors_are_let_pass_at_edges(name, most, told):
     converged = Report(1e-2, (1e-3, 1e-2), True, 0.5, 0.0, 0.0, 1)
 
     def warned(share):
         warn_unconverged(types.SimpleNamespace(report=dataclasses.replace(converged, **{name: share})))
 
     warned(most - 0.001)
-    with pytest.warns(wd.WarpdiffWarning, match="5.1 %|1.1 %"):
+    with pytest.warns(wd.WarpdiffWarning, match=told):
         warned(most + 0.001)
 
 

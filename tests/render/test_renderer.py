@@ -26,7 +26,7 @@ SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
 # Pictures that each of two threads draws at once.
-TURNS = endurance.count(40, 150)
+TURNS = endurance.count(20, 150)
 
 
 def view(angle=0.0, size=(WIDTH, HEIGHT)):
@@ -126,10 +126,11 @@ def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_s
 
 
 DISC = wd.DirectionalLight((0.3, 0.8, 0.9), angular_diameter_deg=9.0)
+SMALL_DISC = dataclasses.replace(DISC, angular_diameter_deg=4.0)
 BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
 
 
-@pytest.mark.parametrize("lights", [[DISC], [DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "two", "behind"])
+@pytest.mark.parametrize("lights", [[SMALL_DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "behind"])
 def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers, plans, lights):
     drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
     told = []
@@ -141,14 +142,32 @@ def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers
     same(drawn.image(), found)
     np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
+    np.testing.assert_array_equal(found.mask, other.mask)
+    # The finest cells count; of equal levels those of the last light do, with other cells around.
+    np.testing.assert_allclose(found.coverage, other.coverage, atol=0.01)
+
+
+def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
+    lights = [wd.PointLight((0.1, 0.9, 4.0)), LIGHTS[1]]
+    drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"])
+    before = drawn.image()
+    for refused in ([wd.PointLight((0.1, 0.9, 1.2), power=1e12), LIGHTS[1]],
+                    [wd.Environment(np.ones((2, 4, 3))), wd.PointLight((0.1, 0.9, 1.2), power=1e12)]):  # fmt: skip
+        with pytest.raises(ValueError, match="a PointLight has a power"):
+            drawn.draw(refused, view(0.4))
+        same(drawn.image(), before)
+    drawn.draw(lights[::-1])
+    drawn.draw(lights)
+    same(drawn.image(), before)
 
 
 def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
-    drawn = wd.Renderer(painted, fingers, DISC, view(), plan=plans["footprints"], threads=1)
+    size = (24, 18)
+    drawn = wd.Renderer(painted, fingers, DISC, view(size=size), plan=plans["footprints"], threads=1)
     for angle in (0.0, 0.3):
         light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=9.0 + angle)
-        drawn.draw(light, view(angle))
-        expected = wd.shade(painted, fingers, light, view(angle), plan=plans["footprints"])
+        drawn.draw(light, view(angle, size))
+        expected = wd.shade(painted, fingers, light, view(angle, size), plan=plans["footprints"])
         found = drawn.image()
         floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
         differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))

@@ -183,16 +183,19 @@ def test_a_saved_plan_is_the_same_plan(rough, kind, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [({"format": "another"}, "must be a plan"), ({"terms": 0}, "terms must be an integer, at least 1, got 0"),
-     ({"coherence": 3}, "must be a plan"), ({"more": 1}, "must be a plan")],
+     ({"coherence": 3}, "must be a plan"), ({"more": 1}, "must be a plan"),
+     ({"coherence": [field.name for field in dataclasses.fields(wd.Coherence)]}, "must be a plan"),
+     ({"adaptive": 1}, "adaptive must be True or False"), ({"method": "direct", "footprint": True}, "footprint=True")],
+    ids=str,
 )  # fmt: skip
 def test_a_damaged_plan_is_refused(rough, change, message, tmp_path):
     path = wd.plan(rough, UP, UP).save(tmp_path / "plan.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(ValueError, match=message):
         wd.Plan.load(path)
-    path.write_text(path.read_text()[:-5])
-    with pytest.raises(ValueError, match="must be a plan"):
-        wd.Plan.load(path)
+    for text in (path.read_text()[:-5], 100_000 * "["):
+        with pytest.raises(ValueError, match="must be a plan"):
+            wd.Plan.from_json(text)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
@@ -475,11 +478,3 @@ def test_no_series_is_made_twice(height_um, monkeypatch):
     wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
     assert len(made) == len(set(made))
     assert len(TableCache.of(heightfield).fitted_to) == 0
-
-
-def test_views_of_a_plan_are_all_of_its_fields(rough):
-    plan = wd.plan(rough, UP, UP)
-    views = [plan.request, plan.kernel_numbers, plan.valid_range, plan.predicted_errors, plan.findings]
-    assert sum(map(len, views)) == len(dataclasses.fields(plan))
-    assert {name: value for view in views for name, value in view.items()} == dataclasses.asdict(plan) | plan.request
-    assert plan.error == sum(plan.predicted_errors.values())

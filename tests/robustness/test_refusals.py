@@ -29,7 +29,7 @@ import warp as wp
 
 import warpdiff as wd
 from warpdiff.apps import cli
-from warpdiff.apps.viewer import command, controls
+from warpdiff.apps.viewer import controls, server
 from warpdiff.core.options import describe
 from warpdiff.core.wording import spelled
 from warpdiff.request.settings import SinglePictureSettings
@@ -96,7 +96,7 @@ def prepared(folder: Path) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patches:
         patches.chdir(folder)
         patches.setattr(wp, "launch", work)
-        patches.setattr(command, "run", work)
+        patches.setattr(server, "run", work)
         yield
 
 

@@ -160,8 +160,8 @@ def view(options: argparse.Namespace) -> None:
     """Start the viewer."""
     if importlib.util.find_spec("websockets") is None:
         raise ArgumentValueError("the page requires websockets, which is not installed: pip install 'warpdiff[view]'")
-    from warpdiff.apps.viewer.command import run
     from warpdiff.apps.viewer.page_calls import NamedFiles
+    from warpdiff.apps.viewer.server import run
 
     if not 0 <= options.port <= _MOST_PORT:
         raise ArgumentValueError(f"--port must be 0 to {_MOST_PORT}, got {options.port}")

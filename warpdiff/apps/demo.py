@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import trimesh
 
 from warpdiff import gratings, meshes
-from warpdiff.apps.data_folder import data_folder
 from warpdiff.core import files, validation
+from warpdiff.core.wording import marked, ref
 from warpdiff.evaluate.reflectance import reflectance_map
 from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
@@ -21,7 +22,6 @@ from warpdiff.render.shade import shade
 from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable
 
     from warpdiff.core.progress import Progress
@@ -55,6 +55,22 @@ class DemoPicture:
     background: tuple[float, float, float] | None = None
 
 
+def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
+    """Return the folder of the real inputs, or None; a folder that is named must exist.
+
+    It is the argument, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
+    """
+    name = data or os.environ.get("WARPDIFF_DATA")
+    folder = Path(name) if name else Path(__file__).resolve().parents[3] / "shared" / "data"
+    if folder.is_dir():
+        return folder
+    if name:
+        raise marked(
+            FileNotFoundError, f"the data folder {folder} does not exist; check {ref('data')} or WARPDIFF_DATA"
+        )
+    return None
+
+
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
     """Load the scan of a snake's skin, levelled, despiked and periodic."""
     scan = HeightField.load(path, extent_um=SCAN_EXTENT_UM, height_range_um=SCAN_HEIGHT_RANGE_UM)
@@ -74,48 +90,46 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     snake_lights = [DirectionalLight(towards, power=0.5) for towards in ((0.5, 0.75, -0.8), (-0.9, 0.7, 0.5))]
     disc_view = View((0.0, -1.9, 2.3), (0.0, -0.05, 0.0), fov_y_deg=40.0, width=pixels(480), height=pixels(340))
     discs_view = View((0.0, -3.0, 3.6), (0.0, 0.0, 0.0), fov_y_deg=24.0, width=pixels(720), height=pixels(320))
+    aluminium, gold, blazed = Material.metal("Al"), Material.metal("Au"), gratings.blazed(2.5, 0.25)
     size = pixels(400)
+
+    def shaded(mesh: Callable[[], Any], *scene: Any, **options: Any) -> Callable[[Progress], Image]:
+        # The mesh is made with its picture, as some take seconds.
+        return lambda progress: shade(mesh(), *scene, **options, tolerance=3e-2, progress=progress)
 
     def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:
         # A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
-        return lambda progress: shade(
-            meshes.snake(tangent=tangent), heightfield, snake_lights, view, tolerance=3e-2, pigment=0.05,
-            progress=progress,
-        )  # fmt: skip
+        return shaded(lambda: meshes.snake(tangent=tangent), heightfield, snake_lights, view, pigment=0.05)
 
-    def discs(progress: Progress) -> Image:
+    def two_discs() -> trimesh.Scene:
         scene = trimesh.Scene()
         for metal, x in (("Al", -1.05), ("Au", 1.05)):
             scene.add_geometry(meshes.disc().apply_translation([x, 0.0, 0.0]), geom_name=metal)
-        light = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=3.0)
-        material = {metal: Material.metal(metal) for metal in ("Al", "Au")}
-        return shade(scene, cd, light, discs_view, material=material, pigment=0.0, tolerance=3e-2, progress=progress)
+        return scene
 
-    def spectra(progress: Progress) -> Image:
-        light, blazed = DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=5.0), gratings.blazed(2.5, 0.25)
-        metal = Material.metal("Al")
-        return shade(
-            meshes.disc(), blazed, light, disc_view, material=metal, pigment=0.0, tolerance=3e-2, progress=progress
-        )
+    def disc_light(diameter_deg: float) -> DirectionalLight:
+        return DirectionalLight((0.1, 0.3, 1.0), angular_diameter_deg=diameter_deg)
 
-    def over_hemisphere(
-        heightfield: HeightField, to_light: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    ) -> Callable[[Progress], Image]:
-        return lambda progress: reflectance_map(heightfield, to_light, size=size, progress=progress)
+    def over_hemisphere(heightfield: HeightField) -> Callable[[Progress], Image]:
+        return lambda progress: reflectance_map(heightfield, (0.0, 0.0, 1.0), size=size, progress=progress)
 
     result = [
         DemoPicture("snake_fingers", "synthetic nano-fingers on a corn snake", snake(fingers, whole_snake)),
-        DemoPicture("disc_cd", "compact discs of aluminium and gold", discs, background=(0.0, 0.0, 0.0)),
         DemoPicture(
-            "disc_blazed", "spectra of a blazed grating of 2.5 µm on a disc", spectra, background=(1.0, 1.0, 1.0)
+            "disc_cd", "compact discs of aluminium and gold",
+            shaded(two_discs, cd, disc_light(3.0), discs_view, material={"Al": aluminium, "Au": gold}, pigment=0.0),
+            background=(0.0, 0.0, 0.0),
+        ),
+        DemoPicture(
+            "disc_blazed", "spectra of a blazed grating of 2.5 µm on a disc",
+            shaded(meshes.disc, blazed, disc_light(5.0), disc_view, material=aluminium, pigment=0.0),
+            background=(1.0, 1.0, 1.0),
         ),
         DemoPicture("map_sinusoidal", "BRDF map, sine of 2 µm", over_hemisphere(gratings.sinusoidal(2.0, 0.3)), -5.0),
-        DemoPicture(
-            "map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(gratings.blazed(2.5, 0.25)), -4.0
-        ),
+        DemoPicture("map_blazed", "BRDF map, blazed grating of 2.5 µm", over_hemisphere(blazed), -4.0),
         DemoPicture("map_cd", "BRDF map, compact disc", over_hemisphere(cd), -1.3),
         DemoPicture("map_fingers", "BRDF map, synthetic nano-fingers", over_hemisphere(fingers)),
-    ]
+    ]  # fmt: skip
     if data is not None and (data / SCAN).is_file():
         scan = cleaned_scan(data / SCAN)
         result += [
@@ -134,13 +148,14 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                 DemoPicture(
                     "fuze_elaphe",
                     "the scan on a textured bottle",
-                    lambda progress: shade(
-                        data / MESH, scan, [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
+                    shaded(
+                        lambda: data / MESH, scan,
+                        [DirectionalLight((1.0, 1.0, 0.8)), DirectionalLight((0.2, 1.0, 0.3))],
                         View(
                             (0.2, 0.42, 0.2), (0.0, 0.0, 0.11), up=(0, 0, 1), fov_y_deg=27.0, width=pixels(360),
                             height=pixels(480),
                         ),
-                        pigment=0.25, tolerance=3e-2, progress=progress,
+                        pigment=0.25,
                     ),
                     -1.3,
                 )

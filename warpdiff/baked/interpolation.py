@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.diffraction import chebyshev
 from warpdiff.tables.polar_grid import PolarGrid, azimuth_counts
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
     azimuths, starts = grid.ring_azimuths, grid.starts
     result = np.zeros((len(u), *coefficients.shape[1:]), dtype=np.float32)
     shape = (-1, *[1] * (coefficients.ndim - 1))
-    ring_weights = lagrange(ring - before)
+    ring_weights = chebyshev.cubic_weights(ring - before)
     for along in range(4):
         at = before - 1 + along
         position = (turns % 1.0) * azimuths[at]
@@ -73,14 +74,6 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
             weight = (ring_weights[along] * azimuth_weights[across]).astype(np.float32)
             result += weight.reshape(shape) * coefficients[node]
     return result
-
-
-def lagrange(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Weights of the cubic through values at −1, 0, 1 and 2, at places t within 0 to 1."""
-    before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
-    return [
-        -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0
-    ]  # fmt: skip
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -6,6 +6,7 @@ The folder is ``WARPDIFF_CACHE_DIR``, or ``warpdiff`` in the user's cache folder
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import re
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core.files import atomic_write
+from warpdiff.kernels import thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Counted up when keys or computed arrays change.
-_VERSION = 2
 # Limit: size of all files [bytes].
 MOST_BYTES = 2**30
 # Arrays that are computed faster are not written to a file [s].
@@ -59,12 +59,13 @@ def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], di
     Args:
         key: Identifies the arrays by its ``repr``.
         heights: Heights that the arrays depend on.
-        make: Function that makes the arrays.
+        make: Function that makes the arrays; another version of the package, or of NumPy, makes others.
     """
     folder = cache_folder()
     if folder is None:
         return make()
-    digest = hashlib.sha256(repr((_VERSION, key, heights.shape)).encode())
+    code = _code_digest(Path(__file__).parents[1], Path(thresholds.__file__).parent)
+    digest = hashlib.sha256(repr((code, np.__version__, key, heights.shape)).encode())
     digest.update(np.ascontiguousarray(heights).data)
     path = folder / f"{digest.hexdigest()[:32]}.npz"
     cached = _read(path, digest.digest())
@@ -78,6 +79,17 @@ def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], di
             _write(path, digest.digest(), made)
             trim(folder, MOST_BYTES)
     return made
+
+
+@functools.cache
+def _code_digest(*folders: Path) -> str:
+    """Hash of the code in folders: unlike a version, it changes with every change that may change arrays."""
+    digest = hashlib.sha256()
+    for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
+        # An editor's mark of an open file is a link to nothing.
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def cache_folder() -> Path | None:

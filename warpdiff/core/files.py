@@ -103,7 +103,7 @@ def holding(argument: str, file: Path) -> Iterator[None]:
         raise ArgumentValueError(named) from None
 
 
-def read_text(file: Path, most_bytes: int) -> str:
+def read_text(file: Path, most_bytes: int = 16 << 20) -> str:
     """Read the text of a file, the argument ``path``; bytes that are not UTF-8 become question marks.
 
     Raises:

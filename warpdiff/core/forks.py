@@ -18,22 +18,16 @@ _SLOW_PACKAGES = {"OpenImageIO", "PIL", "colour", "numpy", "scipy", "trimesh", "
 REMEDY = "start processes with multiprocessing.get_context('spawn'), or fork where no other thread compiles or renders"
 
 
-def at_fork(
-    *,
-    before: Callable[[], object] | None = None,
-    in_parent: Callable[[], object] | None = None,
-    in_child: Callable[[], object] | None = None,
-) -> None:
-    """Call functions around each fork, where processes can fork at all."""
+def at_fork(**functions: Callable[[], object]) -> None:
+    """Call functions around each fork, where processes can fork at all: the arguments of ``os.register_at_fork``."""
     if hasattr(os, "register_at_fork"):
-        functions = {"before": before, "after_in_parent": in_parent, "after_in_child": in_child}
-        os.register_at_fork(**{name: function for name, function in functions.items() if function is not None})
+        os.register_at_fork(**functions)
 
 
 def lock() -> threading.RLock:
     """Return a lock that a fork waits for. A thread that holds it must take no other one and import nothing."""
     result = threading.RLock()
-    at_fork(before=result.acquire, in_parent=result.release, in_child=result.release)
+    at_fork(before=result.acquire, after_in_parent=result.release, after_in_child=result.release)
     return result
 
 

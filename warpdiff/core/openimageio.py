@@ -24,7 +24,7 @@ class _Library:
         self._users, self._forking = 0, False
         self._cut_off = False
         self._threads = self._exr_threads = 0
-        forks.at_fork(before=self._before, in_parent=self._in_parent, in_child=self._in_child)
+        forks.at_fork(before=self._before, after_in_parent=self._in_parent, after_in_child=self._in_child)
 
     @contextlib.contextmanager
     def in_use(self) -> Iterator[Any]:

@@ -14,7 +14,7 @@ import re
 import sys
 import types
 import typing
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from typing import Annotated, Any, Literal
 
 from warpdiff.core import validation
@@ -120,8 +120,11 @@ class Option:
 
     def _check_integers(self, value: Any) -> tuple[int, ...]:
         if not validation.is_sequence(value) or len(value) != self.length:
-            raise ArgumentValueError(f"{ref(self.name)} must be {self.length} integers, got {value!r:.60}")
-        return tuple(self._check_integer(number) for number in value)
+            kind = "a pair (y, x) of" if self.length == 2 else self.length
+            raise ArgumentValueError(f"{ref(self.name)} must be {kind} integers, got {value!r:.60}")
+        return tuple(
+            replace(self, name=f"{self.name}[{index}]")._check_integer(number) for index, number in enumerate(value)
+        )
 
     def _check_numbers(self, value: Any) -> tuple[float, ...]:
         return validation.numbers(value, self.name, length=self.length)
@@ -215,13 +218,9 @@ def documented(owner: Any) -> dict[str, str]:
     return found
 
 
+@functools.cache
 def describe(owner: Any) -> dict[str, Option]:
     """Return the options of a dataclass (its fields) or of a function (its arguments), by name."""
-    return _described(owner)
-
-
-@functools.cache
-def _described(owner: Any) -> dict[str, Option]:
     hints = typing.get_type_hints(owner, include_extras=True, localns=_Names(owner))
     texts = documented(owner)
     if is_dataclass(owner):
@@ -244,5 +243,6 @@ class Checked:
     """Check every field of a frozen dataclass once it is made, by its description; rules for two fields are its own."""
 
     def __post_init__(self) -> None:
-        for option in describe(type(self)).values():
+        owner: Any = type(self)
+        for option in describe(owner).values():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ref
 
 Progress = Callable[[float], None] | bool | None
 # Limit: work that takes less shows no bar [s].
@@ -37,5 +37,6 @@ def reporter(progress: Progress, name: str) -> Callable[[float], None] | None:
     """Return the callable that reports progress: the given one, a bar for True, None for None and False."""
     if isinstance(progress, bool):
         return _Bar(name) if progress else None
-    validation.callback(progress, "progress")
+    if progress is not None and not callable(progress):
+        raise ArgumentTypeError(f"{ref('progress')} must be True, a callable or None, got {type(progress).__name__}")
     return progress

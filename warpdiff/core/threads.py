@@ -92,13 +92,9 @@ class _Work:
 def parallel_for(
     work: Callable[[Any], None], items: Sequence[Any], *, threads: int, progress: Callable[[float], None] | None = None
 ) -> None:
-    """Call ``work`` for each item: a thread that is free takes the next one.
+    """Call ``work`` for each item: a thread that is free takes the next one, of so many with the calling one.
 
-    Args:
-        work: Function of an item.
-        items: Items of any type.
-        threads: Greatest number of threads, the calling one included.
-        progress: Function of the share of the items that is done; None is none.
+    ``progress`` is called with the share of the items that is done.
     """
     _Work(work, items, progress).finish(threads)
 
@@ -131,7 +127,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 # A child has none of its parent's threads.
-forks.at_fork(in_child=_pool.cache_clear)
+forks.at_fork(after_in_child=_pool.cache_clear)
 
 
 # The number of contexts, and the libraries' numbers of threads before the first context began.
@@ -189,7 +185,7 @@ def _end() -> None:
     _contexts = 0
 
 
-forks.at_fork(in_child=_end)
+forks.at_fork(after_in_child=_end)
 
 
 @functools.cache

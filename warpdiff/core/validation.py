@@ -121,9 +121,9 @@ def pair(value: Any, name: str) -> tuple[float, float]:
     return single, single
 
 
-def vector(value: Any, name: str, *, most: float = math.inf) -> NDArray[np.float64]:
-    """Return ``value`` as a finite float64 vector of shape (3,), its components at most ``most`` in magnitude."""
-    array = finite_array(value, name, most=most)
+def vector(value: Any, name: str) -> NDArray[np.float64]:
+    """Return ``value`` as a finite float64 vector of shape (3,)."""
+    array = finite_array(value, name)
     if array.shape != (3,):
         raise ArgumentValueError(f"{ref(name)} must be a vector of 3 numbers, got shape {array.shape}")
     return array
@@ -202,9 +202,3 @@ def flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise ArgumentTypeError(f"{ref(name)} must be True or False, got {value!r}")
     return bool(value)
-
-
-def callback(value: Any, name: str) -> None:
-    """Refuse values that are neither None nor callable."""
-    if value is not None and not callable(value):
-        raise ArgumentTypeError(f"{ref(name)} must be True, a callable or None, got {type(value).__name__}")

@@ -166,6 +166,6 @@ def _in_child() -> None:
 
 
 # Functions registered last are called first: imports end, no further load begins, and loads in progress end.
-forks.at_fork(before=_before_fork, in_parent=_release, in_child=_in_child)
+forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

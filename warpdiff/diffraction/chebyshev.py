@@ -1,4 +1,4 @@
-"""Chebyshev interpolation: polynomials through values at the roots of a Chebyshev polynomial."""
+"""Interpolation: polynomials through values at the roots of a Chebyshev polynomial, and cubics between equal steps."""
 
 from __future__ import annotations
 
@@ -33,6 +33,14 @@ def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> N
     position = np.clip((at - (low + high) / 2.0) / ((high - low) / 2.0 or 1.0), -1.0, 1.0)
     series = np.cos(np.arccos(position)[:, None] * np.arange(count))
     return np.asarray(series @ to_series(count).T)
+
+
+def cubic_weights(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Weights of the cubic through values at −1, 0, 1 and 2, at places t within 0 to 1."""
+    before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
+    return [
+        -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0
+    ]  # fmt: skip
 
 
 def _angles(count: int) -> NDArray[np.float64]:

@@ -83,15 +83,9 @@ class Coefficients:
         """The basis at |κ| [1/µm] within its range, shape (len(kappas), terms), by the cubics that the kernels take."""
         steps = (np.asarray(kappas) - self.kappa_low) / self.step
         entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
-        t = (steps - entry)[:, None]
-        before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
         basis = self.basis.astype(np.float64)
-        return np.asarray(
-            -t * after * beyond / 6.0 * basis[entry]
-            + before * after * beyond / 2.0 * basis[entry + 1]
-            + before * t * beyond / 2.0 * basis[entry + 2]
-            - before * t * after / 6.0 * basis[entry + 3]
-        )
+        weights = chebyshev.cubic_weights((steps - entry)[:, None])
+        return np.asarray(sum(weight * basis[entry + k] for k, weight in enumerate(weights)))
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -128,16 +122,9 @@ def of_series(
     heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
 ) -> Coefficients:  # fmt: skip
-    """The coefficients of a height field by a series, for |κ| in a range.
+    """The coefficients of a block of frequencies by a series of ``EXPANSIONS``, for |κ| in a range [1/µm].
 
-    Args:
-        heightfield: The height field.
-        method: A key of ``EXPANSIONS``.
-        grid: The frequencies.
-        block: Which of them.
-        kappas: The range of |κ| [1/µm].
-        terms: Number of terms.
-        threads: Transforms to run side by side.
+    As many transforms run side by side as there are ``threads``.
     """
     expansion = EXPANSIONS[method]
     series = series_coefficients(
@@ -155,14 +142,9 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """The coefficients in a basis fitted to a range of |κ|, with as many terms as float32 can tell apart.
+    """The coefficients in a basis fitted to a range of |κ| [1/µm], with as many terms as float32 can tell apart.
 
-    Args:
-        heightfield: The height field.
-        method: ``"low-rank"`` or ``"power"``.
-        series: Its Jacobi-Anger series, of ``series_terms`` terms.
-        kappas: The range of |κ| [1/µm].
-        adds_powers: Whether coefficients add as powers.
+    ``method`` is ``"low-rank"`` or ``"power"``, ``series`` the Jacobi-Anger series of ``series_terms`` terms.
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)

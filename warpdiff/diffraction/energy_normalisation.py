@@ -205,14 +205,9 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
     sine = np.sin(polar)
     lights = np.stack([sine * np.cos(around), sine * np.sin(around), np.cos(polar)], axis=1)
-    return np.concatenate([lights, lights * (-1.0, -1.0, 1.0)]), np.tile(1e-3 * _visible_nm(places[:, 2]), 2)
-
-
-def _visible_nm(shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Wavelengths [nm] up to which such shares of all that is seen lie, of all three channels together, (n,)."""
     visible = np.cumsum(colorimetry.colour_products().sum(axis=1))
-    nm = np.interp(shares, visible / visible[-1], np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0))
-    return np.asarray(np.clip(nm, *_VISIBLE_RANGE_NM))
+    nm = np.clip(np.interp(places[:, 2], visible / visible[-1], colorimetry.VISIBLE_NM), *_VISIBLE_RANGE_NM)
+    return np.concatenate([lights, lights * (-1.0, -1.0, 1.0)]), np.tile(1e-3 * nm, 2)
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

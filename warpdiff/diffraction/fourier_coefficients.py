@@ -61,9 +61,7 @@ def patch_grid(heightfield: HeightField) -> Grid:
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
     """Half orders, with the samples divided by the transform of the kernel that interpolates between them.
 
-    Args:
-        heightfield: The height field; one copy of it has a spectrum between its orders too.
-        kernel_transform: Fourier transform of the interpolation kernel, of frequencies within −1/4 … 1/4.
+    One copy of a height field has a spectrum between its orders too. The transform takes frequencies in −1/4 … 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
     # An axis of one sample has the same value at every frequency: nothing is interpolated along it.

@@ -51,15 +51,20 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
+# The matrices of columns by the names that the shaders of web pages have for them.
+MATRICES = {
+    "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
+    "labToRoots": _LAB_TO_ROOTS,
+}  # fmt: skip
 
 # Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest
 # that light has is 3.96 times that, at 495 nm.
-_UNCHANGED, _COMPRESSED = 0.8, 4.0
+UNCHANGED, COMPRESSED = 0.8, 4.0
 _HUES = 1440
 # Above, ACES shows white alone; far above it overflows.
-_WHITE = 1024.0
+WHITE = 1024.0
 # Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
-_NODES, _TOE = 33, 0.01
+_NODES, TOE = 33, 0.01
 _BISECTIONS = 20
 # Colours that a thread looks up at a time.
 _TOGETHER = 8192
@@ -132,38 +137,6 @@ def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, ex
     return aces(compressed, gamut) if exact else _interpolate(compressed, gamut)
 
 
-@dataclass(frozen=True)
-class Tables:
-    """What another program takes to show colours as ``display="aces"`` does, by a table.
-
-    Attributes:
-        aces: Encoded R, G and B at nodes over linear Display P3, red slowest, shape (nodes³, 3).
-        white: The light of the last node.
-        toe: Nodes lie at equal steps of ln(1 + light / toe).
-        most_chroma: The largest chroma over lightness that Display P3 has, at equal steps of OKLab hue from −π to π.
-        unchanged: The share of it up to which chroma is unchanged.
-        compressed: The share of it that becomes 1.
-        matrices: By name, of columns: XYZ to Display P3, and the steps to OKLab and back.
-    """
-
-    aces: NDArray[np.float32]
-    white: float
-    toe: float
-    most_chroma: NDArray[np.float64]
-    unchanged: float
-    compressed: float
-    matrices: dict[str, NDArray[np.float64]]
-
-
-def tables(gamut: GamutName) -> Tables:
-    """The numbers behind ``encode(..., "aces", gamut, exact=False)``."""
-    matrices = {
-        "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ,
-        "rootsToLab": _ROOTS_TO_LAB, "labToRoots": _LAB_TO_ROOTS,
-    }  # fmt: skip
-    return Tables(_table(gamut), _WHITE, _TOE, _most_chroma()[1], _UNCHANGED, _COMPRESSED, matrices)
-
-
 def description(display: Display, gamut: GamutName) -> str:
     """Describe in words what has been done to the colours of a file."""
     target = GAMUTS[gamut]
@@ -178,7 +151,7 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     if not len(xyz):
         return np.zeros((0, 3))
     target = GAMUTS[gamut]
-    row = np.minimum(xyz, _WHITE).astype(np.float32)[None]
+    row = np.minimum(xyz, WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
         # On this thread: a child of a fork has no other of OpenImageIO's.
         buffer = oiio.ImageBufAlgo.ociodisplay(
@@ -210,19 +183,19 @@ def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     lab = oklab(xyz)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
-    most = np.interp(np.arctan2(lab[:, 2], lab[:, 1]), *_most_chroma())
+    most = np.interp(np.arctan2(lab[:, 2], lab[:, 1]), *most_chroma())
     ratio = chroma / np.maximum(most * lab[:, 0], _LEAST)
-    beyond = np.flatnonzero(ratio > _UNCHANGED)
-    excess = ratio[beyond] - _UNCHANGED
-    bend = 1.0 / (1.0 - _UNCHANGED) - 1.0 / (_COMPRESSED - _UNCHANGED)
-    lab[beyond, 1:] *= ((_UNCHANGED + excess / (1.0 + bend * excess)) / ratio[beyond])[:, None]
+    beyond = np.flatnonzero(ratio > UNCHANGED)
+    excess = ratio[beyond] - UNCHANGED
+    bend = 1.0 / (1.0 - UNCHANGED) - 1.0 / (COMPRESSED - UNCHANGED)
+    lab[beyond, 1:] *= ((UNCHANGED + excess / (1.0 + bend * excess)) / ratio[beyond])[:, None]
     compressed = xyz.copy()
     compressed[beyond] = of_oklab(lab[beyond])
     return compressed
 
 
 @functools.cache
-def _most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Hues [rad], and the largest chroma over lightness that Display P3 has of each, without a limit to its light."""
     hues = np.linspace(-np.pi, np.pi, _HUES + 1)
     towards = np.stack([np.zeros_like(hues), np.cos(hues), np.sin(hues)], axis=1)
@@ -269,22 +242,18 @@ def _largest_in_gamut(
     return low
 
 
-def _table_coordinates(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where linear components lie along an axis of a table, 0 to 1."""
-    return np.asarray(np.log1p(np.clip(rgb, 0.0, _WHITE) / _TOE) / np.log1p(_WHITE / _TOE))
-
-
 @functools.cache
-def _table(gamut: GamutName) -> NDArray[np.float32]:
+def aces_table(gamut: GamutName) -> NDArray[np.float32]:
     """ACES at nodes over linear Display P3, in which compressed colours are not negative, (nodes³, 3)."""
-    axis = _TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(_WHITE / _TOE))
+    axis = TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(WHITE / TOE))
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     return aces(nodes @ _P3_TO_XYZ.T, gamut).astype(np.float32)
 
 
 def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """ACES of compressed XYZ (n, 3) by tetrahedra of a table: the corners are met in the order of the fractions."""
-    places = _table_coordinates(xyz @ _XYZ_TO_P3.T) * (_NODES - 1)
+    light = np.clip(xyz @ _XYZ_TO_P3.T, 0.0, WHITE)
+    places = np.log1p(light / TOE) / np.log1p(WHITE / TOE) * (_NODES - 1)
     first = np.minimum(places.astype(np.int64), _NODES - 2)
     fractions = places - first
     steps = np.array([_NODES * _NODES, _NODES, 1])
@@ -292,7 +261,7 @@ def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float
     weights = np.take_along_axis(fractions, order, axis=1)
     weights = -np.diff(weights, axis=1, prepend=1.0, append=0.0)
     corners = first @ steps
-    table = _table(gamut)
+    table = aces_table(gamut)
     encoded = weights[:, :1] * table[corners]
     for k in range(3):
         corners = corners + steps[order[:, k]]

@@ -50,12 +50,7 @@ class ErrorParts:
 
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
-    """Return the estimated errors ‖ΔXYZ‖ of pixels.
-
-    Args:
-        parts: Their parts.
-        plan_error: Predicted relative error of the plan.
-    """
+    """Return the estimated errors ‖ΔXYZ‖ of pixels from their parts and the predicted relative error of the plan."""
     # The error of a table, or of sums over wavelengths, is in proportion to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size

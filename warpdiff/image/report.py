@@ -45,7 +45,10 @@ class Report:
 
     @property
     def is_converged(self) -> bool:
-        """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges."""
+        """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges.
+
+        Without refinement no pixel is, as nothing is guaranteed then: see ``is_refined``.
+        """
         return self.unconverged_share <= MOST_UNCONVERGED and self.unconverged_edge_share <= MOST_UNCONVERGED_EDGES
 
     @property
@@ -58,8 +61,9 @@ class Report:
             )
         if self.is_converged:
             return (
-                f"The picture meets its tolerance of {self.tolerance:g}: 99 % of the illuminated pixels have an "
-                f"estimated error of at most {self.errors[1]:.2g}."
+                f"The picture meets its tolerance of {self.tolerance:g}: {100.0 * self.unconverged_share:.2g} % of the "
+                f"interior pixels are expected to exceed it, and {100.0 * self.unconverged_edge_share:.2g} % of those "
+                f"at edges three times as much."
             )
         return (
             f"The picture does not meet its tolerance of {self.tolerance:g} everywhere: see the unconverged pixels "
@@ -85,15 +89,10 @@ def report_of(
     error: NDArray[np.float32], illuminated: NDArray[np.bool_], edges: NDArray[np.bool_] | None, *,
     tolerance: float, refined_share: float, light_sample_count: int,
 ) -> Report:  # fmt: skip
-    """Return the report on estimated errors of pixels.
+    """Return the report on the estimated relative errors of pixels, arrays (height, width).
 
-    Args:
-        error: Estimated relative error of each pixel, (height, width).
-        illuminated: Whether light reached the pixel.
-        edges: Whether an edge passes through it; None without refinement.
-        tolerance: Tolerance of the picture.
-        refined_share: Share of the covered pixels that were subdivided.
-        light_sample_count: Number of directions and lobes that represent the lights.
+    ``edges`` tells through which of them an edge passes; None is a picture without refinement. The other arguments are
+    those of :class:`Report`.
     """
     visible = error[illuminated]
     median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.wording import ArgumentTypeError, ref
 from warpdiff.optics import colorimetry
-from warpdiff.optics.spectra import Spectrum
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.light_pass import LightPass, PassContext
     from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.spectra import Spectrum
 
 # Limit of powers: squares of colours are float32.
 MOST_POWER = 1e12
@@ -66,7 +65,7 @@ class LightPart(ABC):
         """Return the pass of this part over the rays of a picture."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lobe:
     """Lobe of a light: a Gaussian of directions, or one direction.
 
@@ -87,7 +86,7 @@ class Lobe:
     position: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
     """Lobes of one light, as directional lights, discs and point lights have them.
 
@@ -131,15 +130,6 @@ class LobeLight(Light):
         """Return all lobes as one part."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
         return [LobeSet(tuple(self.lobes(coherence.sigma_um, single_lobe=single_lobe)))]
-
-
-def check_illuminant(illuminant: object) -> None:
-    """Refuse an illuminant of a type that lights do not have."""
-    if not isinstance(illuminant, (str, Spectrum)):
-        raise ArgumentTypeError(
-            f"{ref('illuminant')} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
-            f"{type(illuminant).__name__}"
-        )
 
 
 def orthonormal_pair(axis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,8 +11,9 @@ from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, check_illuminant, orthonormal_pair
+from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, orthonormal_pair
 from warpdiff.lights.disc_lobes import lobes_of_disc
+from warpdiff.optics.colorimetry import check_illuminant_type
 
 if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
@@ -48,7 +49,7 @@ class DirectionalLight(Checked, LobeLight):
         unit = validation.directions(validation.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", tuple(unit.tolist()))
         super().__post_init__()
-        check_illuminant(self.illuminant)
+        check_illuminant_type(self.illuminant)
 
     def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
         """Return one lobe with the mean and variance of the disc, or several that also have its rim.

@@ -16,8 +16,9 @@ from warpdiff.core.caching import LruCache
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
-from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, linear, maps_of
+from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, maps_of, sample_grid
 from warpdiff.optics import colorimetry
+from warpdiff.optics.colorimetry import VISIBLE_NM
 from warpdiff.optics.spectra import Spectrum, colour_science
 from warpdiff.scene.camera import View
 
@@ -39,7 +40,6 @@ _DIRECTIONS_AT_ONE = 820.0
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
 _MOST_PARTS = 4
-_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,7 +55,7 @@ class Environment(Checked, Light):
         scale: Linear factor of the radiance.
         directions: Largest number of directions that a pixel's colour is summed over; about two thirds of them lie
             above its horizon, and they are densest near the mirror direction. None is 820 over the picture's
-            tolerance.
+            tolerance, at most 32,768.
     """
 
     radiance_rgb: ArrayLike
@@ -100,7 +100,7 @@ class Environment(Checked, Light):
             rotation_deg: Rotation about +y, counter-clockwise from above [degrees], −360 to 360.
             scale: Linear factor of the radiance, 0 to 1e9.
             directions: Largest number of directions that a pixel's colour is summed over, 16 to 32768; None is 820 over
-                the picture's tolerance.
+                the picture's tolerance, at most 32,768.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -157,16 +157,16 @@ class Environment(Checked, Light):
         across = x[None, :, None] * frame.right + y[:, None, None] * frame.up
         radiance = np.asarray(self.radiance_rgb, dtype=np.float64)
         along = -frame.back + (0.0 if frame.orthographic else 1.0) * across
-        return np.asarray(self.scale * linear(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
+        return np.asarray(self.scale * sample_grid(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
     @forks.cached_property
-    def _maps(self) -> tuple[NDArray[np.float32], tuple[int, ...], float, list[Sun]]:
-        """Texels, sides and first blur of :class:`SkyMaps`, but for window and scale, and suns.
+    def _maps(self) -> tuple[NDArray[np.float32], list[Sun]]:
+        """Texels of :class:`SkyMaps`, but for window and scale, and suns.
 
         They take a second, and do not depend on the rotation.
         """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
-        return *maps_of(blurred_grids(grid)), suns
+        return maps_of(blurred_grids(grid)), suns
 
     @forks.cached_property
     def _parts(self) -> LruCache[tuple[LightPart, ...]]:
@@ -185,8 +185,8 @@ class Environment(Checked, Light):
         return self._parts.get_or_make((coherence.sigma_um, count), make)
 
 
-def rotated(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """An environment of the same radiances at another rotation, scale and number of directions; maps are shared."""
+def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
+    """Return an environment of the same radiances with other settings, which were checked; it shares the maps."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _maps=environment._maps)
     return result
@@ -223,7 +223,7 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
-    texels, sides, blur, suns = environment._maps
+    texels, suns = environment._maps
     primaries, per_radiance = _spectra()
     per_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
     scale = environment.scale * 4.0 * math.pi * sigma_um**2
@@ -236,12 +236,12 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
             f"a smaller {ref('scale')}"
         )
     turn = math.radians(environment.rotation_deg)
-    result: list[LightPart] = [SkyPart(SkyMaps(primaries, powers.astype(np.float32), sides, blur, turn, directions))]
+    result: list[LightPart] = [SkyPart(SkyMaps(primaries, powers.astype(np.float32), turn, directions))]
     for sun, power in zip(suns, powers_of_suns, strict=True):
         x, y, z = sun.towards.tolist()
         to_light = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x
         values = sum(float(c) * np.asarray(primary.values) for c, primary in zip(sun.rgb, primaries, strict=True))
-        illuminant = Spectrum(_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
+        illuminant = Spectrum(VISIBLE_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
         deviations = sun.deviation * orthonormal_pair(np.asarray(to_light))
         result.append(LobeSet((Lobe(to_light, illuminant, power, deviations),)))
     return tuple(result)
@@ -253,9 +253,9 @@ def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)
     basis = np.maximum(colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(shape).values, 0.0)
-    per_square = 1e6 / _NM**2
+    per_square = 1e6 / VISIBLE_NM**2
     bright = colorimetry.colour_products("D65")[:, 1]
     white = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values
-    red, green, blue = (Spectrum(_NM, primary * white * per_square, name="environment") for primary in basis.T)
+    red, green, blue = (Spectrum(VISIBLE_NM, primary * white * per_square, name="environment") for primary in basis.T)
     per_radiance = colorimetry.RGB_TO_XYZ[1] * ((bright * per_square) @ basis) / (bright @ basis)
     return (red, green, blue), per_radiance

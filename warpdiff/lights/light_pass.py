@@ -1,7 +1,7 @@
 """Passes of lights: how a part of a light is sampled at the hits of rays, and coloured.
 
 The arrays that passes read and fill stand apart by what they hold: hits (``scene.gbuffer``), samples of one lobe, and
-sums. None of them changes the meaning of another.
+sums.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from numpy.typing import NDArray
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from warpdiff.tables.lookup import ColourLookup
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceOptics:
     """What light meets: the reflectance of the surface besides its height field's diffraction.
 
@@ -77,7 +77,7 @@ class PassContext:
         self.pigment_strength = optics.pigment / normal if self.is_pigmented else 0.0
         faces = np.zeros(0, dtype=np.int32) if materials_of_faces is None else materials_of_faces
         self.materials_of_faces = wp.array(faces, dtype=wp.int32, device=device)
-        grid_um = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
+        grid_um = colorimetry.VISIBLE_NM * 1e-3
         self._solid_angle = reflectance_factors.pigment_solid_angle(grid_um, optics.coherence, optics.area_um2)
         through = np.zeros((0, 0, 3), dtype=np.float32)
         if self.is_pigmented:
@@ -116,12 +116,16 @@ class PassContext:
 class LightSamples:
     """One lobe at the hits of rays, which the next lobe overwrites; :meth:`LightPass.scatter` fills it.
 
+    A sky is a single lobe, for which some arrays hold what belongs to the mirror direction.
+
     Attributes:
-        occluded: Whether the mesh occludes the lobe, (n,).
+        occluded: Whether the mesh occludes the lobe, (n,); of a sky, any part of it.
         any_occluded: Whether it occludes any lobe of a part, (n,).
-        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
-        to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
-        gains: Geometry factors, (n,); 0 where no light arrives.
+        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``; of a sky (0, 0, w).
+        to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``; of a sky the mirror directions in
+            the world frame.
+        gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits, as its sums have factors of their
+            own.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
         material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
     """
@@ -217,6 +221,8 @@ class LightPass(ABC):
             for spectra in spectra_of_lobes
         ]
         self._no_occlusion = wp.empty(0, dtype=wp.bool, device=context.device)
+        self._lights = light_samples.Lights()
+        self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     @property
     def lobe_count(self) -> int:
@@ -226,7 +232,11 @@ class LightPass(ABC):
     @property
     @abstractmethod
     def graph_key(self) -> tuple[Hashable, ...]:
-        """What the launches depend on besides values in arrays: a part of the key of a recorded CUDA graph."""
+        """What the launches depend on: a part of the key of a recorded CUDA graph.
+
+        A recorded launch repeats numbers that it was given by value: they belong to the key, or into arrays that
+        :meth:`begin` fills.
+        """
 
     @abstractmethod
     def begin(self, previous: LightPass | None) -> None:
@@ -237,17 +247,12 @@ class LightPass(ABC):
         """
 
     @property
-    @abstractmethod
     def is_prepared(self) -> bool:
-        """Whether shadow rays of samples are prepared."""
+        """Whether shadow rays are prepared; those of a pass that asks the hierarchy always are."""
+        return True
 
-    @abstractmethod
-    def prepare_sampling(self, samples: int) -> None:
-        """Prepare shadow rays of a number of samples per pixel, whose hits are known."""
-
-    @abstractmethod
-    def prepare_cells(self, pixels: int) -> None:
-        """Prepare shadow rays of the cells of a number of subdivided pixels."""
+    def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
+        """Prepare shadow rays, as many for each lobe as the function says, which may read the hits."""
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:
@@ -283,14 +288,18 @@ class LightPass(ABC):
         return samples.occluded if shadows and self.context.casts_shadows else self._no_occlusion
 
     def penumbra_calls(
-        self,
-        lobe: int,  # noqa: ARG002 (of passes of several lobes)
-        batch: RayBatch,  # noqa: ARG002
-        occluded_power: wp.array,  # noqa: ARG002
-        errors: wp.array,  # noqa: ARG002
+        self, lobe: int, batch: RayBatch, occluded_power: wp.array, errors: wp.array
     ) -> list[KernelCall]:
         """Return the calls that add a sampled lobe to the occluded power, and after the last one its error."""
-        return []
+        if not self.has_penumbrae:
+            return []
+        strengths = self._lights.strengths
+        inputs = [batch.samples.occluded, strengths, lobe, lobe == 0]
+        calls = [KernelCall(subdivision.add_occluded_power, inputs, [occluded_power], in_runs=True)]
+        if lobe == self.lobe_count - 1:
+            inputs = [batch.xyz, occluded_power, strengths, 0, self.lobe_count]
+            calls.append(KernelCall(subdivision.add_penumbra_error, inputs, [errors], in_runs=True))
+        return calls
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
         """Return the call that finds the footprints of the rays' filter in (u, v)."""

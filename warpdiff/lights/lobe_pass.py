@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,10 +9,9 @@ import warp as wp
 
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, subdivision
+from warpdiff.kernels import light_samples
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.lights.light_pass import LightPass
-from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -24,15 +22,13 @@ if TYPE_CHECKING:
 
 # Limit of the power of a point light over the square of the mesh's radius: squares of colours nearby are float32.
 _MOST_NEARBY = 1e9
-# Shadow rays of the cells of a subdivided pixel (fitted to the snake: 22 at a tolerance of 1e-1, 43 at 3e-2, of which a
-# part is reused).
-_SHADOW_RAYS_OF_CELLS = 16
 
 
 class LobePass(LightPass):
     """Pass of lobes, which are sampled one after the other.
 
-    A light with an emission profile or a footprint of its own overrides :meth:`gain_calls` or :meth:`footprint_calls`.
+    A light with an emission profile or a footprint of its own overrides :meth:`gain_calls` or :meth:`footprint_calls`,
+    and :attr:`graph_key` if these give numbers to kernels by value.
 
     Attributes:
         part: The lobes.
@@ -41,8 +37,8 @@ class LobePass(LightPass):
     def __init__(self, part: LobeSet, context: PassContext) -> None:
         super().__init__(context, [[lobe.illuminant] for lobe in part.lobes])
         self.part = part
-        self._lights: Any = None
-        self._grids: dict[int, Any] = {}
+        self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
+        self._grids: list[Any] = []
 
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into the arrays of a pass of as many lobes, or into new ones."""
@@ -50,15 +46,13 @@ class LobePass(LightPass):
         if isinstance(previous, LobePass) and previous.lobe_count == self.lobe_count:
             self._lights = previous._lights
         else:
-            self._lights = light_samples.Lights()
             arrays: dict[str, Any] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
             for name, dtype in arrays.items():
                 setattr(self._lights, name, wp.empty(self.lobe_count, dtype=dtype, device=context.device))
             self._lights.deviations = wp.empty((self.lobe_count, 2), dtype=wp.vec3f, device=context.device)
-            self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
         deviations = [np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations for lobe in lobes]
         self._lights.places.assign(np.array([self._place(lobe) for lobe in lobes]))
-        self._lights.strengths.assign(np.array([(self._power(lobe), context.pigment_strength) for lobe in lobes]))
+        self._lights.strengths.assign(np.array(self._strengths))
         self._lights.white_rgb.assign(np.array([context.pigment_white(lobe.illuminant) for lobe in lobes]))
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
 
@@ -77,7 +71,7 @@ class LobePass(LightPass):
         power: float = lobe.power * radius**-2.0
         if power > _MOST_NEARBY:
             raise ArgumentValueError(
-                f"{ref('lights')}: a PointLight has a power of {power * radius**2:g}, and must have at most "
+                f"{ref('lights')}: a PointLight has a power of {lobe.power:g}, and must have at most "
                 f"{_MOST_NEARBY:g} times the square of the mesh's radius, {radius:g}; give less power"
             )
         return power
@@ -96,22 +90,13 @@ class LobePass(LightPass):
         """Whether there is a grid for each lobe."""
         return len(self._grids) == self.lobe_count
 
-    def prepare_sampling(self, samples: int) -> None:
-        """Prepare shadow rays of a number of samples per pixel, whose hits are known."""
-        shadow_rays = functools.cache(lambda: samples * self.context.rays.gbuffer.hit_count)
-        self._grids = {lobe: self._grid(lobe, shadow_rays) for lobe in range(self.lobe_count)}
-
-    def prepare_cells(self, pixels: int) -> None:
-        """Prepare shadow rays of the cells of a number of subdivided pixels."""
-        self._grids = {
-            lobe: self._grid(lobe, lambda: _SHADOW_RAYS_OF_CELLS * pixels) for lobe in range(self.lobe_count)
-        }
-
-    def _grid(self, lobe: int, shadow_rays: Callable[[], int]) -> Any:
-        """Return the struct ``ShadowGrid`` of a lobe; a point light has no single direction that a grid is for."""
-        of_lobe = self.part.lobes[lobe]
-        to_light = None if of_lobe.position is not None else of_lobe.to_light
-        return self.context.rays.shadow_grid(to_light, shadow_rays)
+    def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
+        """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction that a grid is for."""
+        rays = self.context.rays
+        to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
+        # The grids before may be as large as all memory that is free.
+        self._grids.clear()
+        self._grids += rays.shadow_grids(to_lights, count)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:
         """Return the calls that find occlusion, scattering vectors and geometry factors of a lobe."""
@@ -122,17 +107,21 @@ class LobePass(LightPass):
             counting.resets, occluded,
         ]  # fmt: skip
         outputs = [*samples.directions, *batch.sums]
-        calls = [KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True)]
+        calls = []
+        if len(occluded):
+            shadow_inputs = [self._grids[lobe], self._lights.places, lobe, pixels]
+            calls.append(KernelCall(trace_shadow_rays, shadow_inputs, [occluded], in_runs=True))
+        calls.append(KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True))
         if len(self.context.reflection.energy):
             inputs = [samples.scattering_vectors, samples.to_lights, self.context.reflection]
             calls.append(KernelCall(light_samples.balance_energy, inputs, [samples.gains], in_runs=True))
-        if len(occluded):
-            inputs = [self._grids[lobe], self._lights.places, lobe, pixels]
-            calls.insert(0, KernelCall(trace_shadow_rays, inputs, [occluded], in_runs=True))
         return [*calls, *self.gain_calls(lobe, batch)]
 
     def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
-        """Return calls that change the geometry factors of a lobe, such as by an emission profile."""
+        """Return calls that change the geometry factors of a lobe, such as by an emission profile.
+
+        The pigment and the illuminated pixels are those of the light without the profile.
+        """
         return []
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
@@ -166,18 +155,4 @@ class LobePass(LightPass):
                 samples.scattering_vectors, samples.to_lights, gains, illuminated, batch.xyz, footprints,
                 batch.unserved_gain,
             )  # fmt: skip
-        return calls
-
-    def penumbra_calls(
-        self, lobe: int, batch: RayBatch, occluded_power: wp.array, errors: wp.array
-    ) -> list[KernelCall]:
-        """Return the calls that add a sampled lobe to the occluded power, and after the last one its error."""
-        if not self.has_penumbrae:
-            return []
-        strengths = self._lights.strengths
-        inputs = [batch.samples.occluded, strengths, lobe, lobe == 0]
-        calls = [KernelCall(subdivision.add_occluded_power, inputs, [occluded_power], in_runs=True)]
-        if lobe == self.lobe_count - 1:
-            inputs = [batch.xyz, occluded_power, strengths, 0, self.lobe_count]
-            calls.append(KernelCall(subdivision.add_penumbra_error, inputs, [errors], in_runs=True))
         return calls

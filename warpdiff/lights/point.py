@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Interval, Unit
 
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, check_illuminant
+from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight
+from warpdiff.optics.colorimetry import check_illuminant_type
 
 if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
@@ -32,7 +33,7 @@ class PointLight(Checked, LobeLight):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_illuminant(self.illuminant)
+        check_illuminant_type(self.illuminant)
 
     def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:  # noqa: ARG002 (of discs)
         """Return the single lobe of a position."""

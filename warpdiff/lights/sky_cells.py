@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -47,15 +47,8 @@ def table_for(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMa
         illuminated: Spectra by material.
         directions: Greatest number of cells.
     """
-    key = SkyTableKey(tuple(map(tuple, illuminated)), directions)
+    key = tuple(map(tuple, illuminated)), directions
     return lookup.derived.get_or_make(key, lambda: _sky_table(lookup, illuminated, directions))
-
-
-class SkyTableKey(NamedTuple):
-    """Key of a sky's table: spectra by material, and the greatest number of cells."""
-
-    illuminated: tuple[tuple[IlluminatedMaterial, ...], ...]
-    directions: int
 
 
 @single_threaded_blas()
@@ -72,9 +65,8 @@ def _sky_table(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedM
     nodes, spans, order = tree(directions)
     phase = 2.0 * math.pi * lookup.heightfield.height_range_um * 2e3 / LAMBDA_MIN_NM
     entries = min(max(math.ceil(phase / math.sqrt(_MOST_PHASE2)), _FEWEST_ENTRIES), _MOST_ENTRIES)
-    count = len(nodes) + 1
     memory.require_memory(
-        _BYTES_PER_ROW * count * entries * len(illuminated),
+        _BYTES_PER_ROW * (len(nodes) + 1) * entries * len(illuminated),
         f"{ref('lights')} with an environment of {directions} directions", f"take {{share}} of {ref('directions')}",
     )  # fmt: skip
     half = 0.5 * phase
@@ -185,11 +177,13 @@ def cells(most: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """
     from scipy.special import ive
 
-    spread, low, high = 0.0, math.log(0.01), math.log(3.0)
+    low, high = math.log(0.01), math.log(3.0)
     for _ in range(30):
-        spread = 0.5 * (low + high)
-        fits = sum(_rings(math.exp(spread))[1]) <= most
-        low, high = (low, spread) if fits else (spread, high)
+        middle = 0.5 * (low + high)
+        if sum(_rings(math.exp(middle))[1]) <= most:
+            high = middle
+        else:
+            low = middle
     radii, counts, distances = (np.array(array) for array in _rings(math.exp(high)))
     deviations = _WIDTH * distances
     nominal = 2.0 * math.pi * radii * distances / counts

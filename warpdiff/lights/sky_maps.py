@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 # Rows of the grid of directions that is blurred: 0.35°. The first level is blurred by so much [rad], each next one by
 # twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
-_ROWS, _FIRST_BLUR, _LEVELS = 512, 0.00625, 8
+_ROWS, FIRST_BLUR, _LEVELS = 512, 0.00625, 8
 _STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
+# Number of texels along a side of each level's map.
+SIDES = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
 _TURNS = 40
 # Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
 # Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
@@ -42,9 +44,8 @@ class SkyMaps:
     Attributes:
         spectra: Three illuminants; any colour is a sum of them.
         texels: Power per solid angle by spectrum, and the standard deviation of their sum under the blur, shape (n, 4),
-            level after level; a map has one more texel on each side, and is stored row by row.
-        sides: Number of texels along a side of each level's map, without the additional ones.
-        blur: Blur of the first level [rad]; each further level has twice the blur.
+            level after level; a map has :data:`SIDES` texels along a side and one more on each side, and is stored row
+            by row.
         turn: Rotation about +y [rad].
         directions: Number of directions that a pixel's colour is summed over.
         device_arrays: Arrays of these maps on devices, by the device's name; whoever uploads them puts them here.
@@ -52,14 +53,12 @@ class SkyMaps:
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     texels: NDArray[np.float32]
-    sides: tuple[int, ...]
-    blur: float
     turn: float
     directions: int
     device_arrays: LruCache[Any] = field(default_factory=LruCache, repr=False)
 
 
-def linear(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
     """Values of a grid over latitude and longitude in directions, linear between its points."""
     height, width = grid.shape[:2]
     polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
@@ -125,7 +124,7 @@ def blurred_grids(grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     grid = np.concatenate([grid, _luminance2(grid)], axis=2)
     result = []
     for level in range(_LEVELS):
-        blur = _FIRST_BLUR * 2.0**level
+        blur = FIRST_BLUR * 2.0**level
         while grid.shape[0] * blur >= 2.0 * _STEPS_A_BLUR * math.pi:
             grid = _halved(grid)
         grid = _blurred(grid, math.sqrt(blur**2 - before**2))
@@ -140,11 +139,10 @@ def _luminance2(grid: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((grid[..., :3] @ colorimetry.RGB_TO_XYZ[1, :, None]) ** 2)
 
 
-def maps_of(grids: list[NDArray[np.float64]]) -> tuple[NDArray[np.float32], tuple[int, ...], float]:
-    """Texels, sides and first blur of :class:`SkyMaps` from blurred grids."""
-    sides = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
-    texels = [linear(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, sides, strict=True)]
-    return np.concatenate(texels).astype(np.float32), sides, _FIRST_BLUR
+def maps_of(grids: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    """Return the texels of :class:`SkyMaps` from blurred grids."""
+    texels = [sample_grid(grid, _directions(side), 0.0).reshape(-1, 4) for grid, side in zip(grids, SIDES, strict=True)]
+    return np.concatenate(texels).astype(np.float32)
 
 
 def _grid_directions() -> NDArray[np.float64]:
@@ -160,7 +158,7 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
     """Radiance on a grid, (_ROWS, 2 _ROWS, 3): its means over cells, or linear between pixels that are larger."""
     result = radiance.astype(np.float64)
     if len(result) < _ROWS:
-        return linear(result, _grid_directions(), 0.0)
+        return sample_grid(result, _grid_directions(), 0.0)
     for axis, count in enumerate((_ROWS, 2 * _ROWS)):
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)

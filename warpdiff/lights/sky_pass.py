@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, octahedral_maps, sky_sum
+from warpdiff.kernels import octahedral_maps, sky_sum
 from warpdiff.lights import sky_cells
 from warpdiff.lights.light_pass import LightPass
-from warpdiff.optics import colorimetry
+from warpdiff.lights.sky_maps import FIRST_BLUR, SIDES
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
@@ -32,7 +32,6 @@ class SkyPass(LightPass):
     def __init__(self, maps: SkyMaps, context: PassContext) -> None:
         super().__init__(context, [maps.spectra])
         self.maps = maps
-        self._lights: Any = None
         self._map: Any = None
 
     @property
@@ -47,28 +46,15 @@ class SkyPass(LightPass):
             self._lights, self._map = previous._lights, previous._map
             return
         # Kernels read the strength of the pigment from where that of lobes stands.
-        self._lights = light_samples.Lights()
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
-        self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
         self._map = octahedral_maps.SkyMap()
         self._map.texels, self._map.sides, self._map.firsts = self.maps.device_arrays.get_or_make(
             context.device.alias, lambda: upload_maps(self.maps, context.device)
         )
-        self._map.variance = self.maps.blur**2
+        self._map.variance = FIRST_BLUR**2
         self._map.turn = wp.vec2f(math.cos(self.maps.turn), math.sin(self.maps.turn))
         whites = [context.pigment_white(spectrum) for spectrum in self.maps.spectra]
         self._map.whites = wp.mat33f(*np.ravel(whites))
-
-    @property
-    def is_prepared(self) -> bool:
-        """True: shadow rays of a sky ask the hierarchy, which serves all directions."""
-        return True
-
-    def prepare_sampling(self, samples: int) -> None:
-        """Prepare nothing: see :attr:`is_prepared`."""
-
-    def prepare_cells(self, pixels: int) -> None:
-        """Prepare nothing: see :attr:`is_prepared`."""
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the calls that find the mirror directions of a batch."""
@@ -98,9 +84,9 @@ class SkyPass(LightPass):
 
 def upload_maps(maps: SkyMaps, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
     """Upload the texels of a sky's maps, their sides, and the index of each map's first texel."""
-    firsts = np.cumsum([0, *((side + 2) ** 2 for side in maps.sides[:-1])])
+    firsts = np.cumsum([0, *((side + 2) ** 2 for side in SIDES[:-1])])
     return (
         wp.array(maps.texels, dtype=wp.vec4f, device=device),
-        wp.array(maps.sides, dtype=wp.int32, device=device),
+        wp.array(SIDES, dtype=wp.int32, device=device),
         wp.array(firsts, dtype=wp.int32, device=device),
     )

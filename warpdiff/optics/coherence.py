@@ -51,9 +51,7 @@ class Coherence(Checked):
     periods: Annotated[tuple[int, int], Interval(ge=1, le=_MAX_PERIODS)] | None = None
 
     def __post_init__(self) -> None:
-        periods = None if self.periods is None else _checked_periods(self.periods)
         super().__post_init__()
-        self._set("periods", periods)
         self._only_for("sigma_um", *_WINDOWS)
         self._only_for("centre_um", "centred")
         self._only_for("angular_diameter_deg", "source")
@@ -62,7 +60,7 @@ class Coherence(Checked):
             self._set("sigma_um", DEFAULT_SIGMA_UM)
         if self.kind == "source" and self.angular_diameter_deg is None:
             self._set("angular_diameter_deg", _DEFAULT_DIAMETER_DEG)
-        if self.kind == "replicas" and periods is None:
+        if self.kind == "replicas" and self.periods is None:
             raise ArgumentValueError(
                 f"{ref('periods')} must be given for {ref('kind', 'replicas')}, such as {ref('periods', (1, 100))}"
             )
@@ -91,11 +89,3 @@ class Coherence(Checked):
         if getattr(self, name) is not None and self.kind not in kinds:
             others = " or ".join(ref("kind", kind) for kind in kinds)
             raise ArgumentValueError(f"{ref(name)} is for {others}, not {self.kind!r}: remove it")
-
-
-def _checked_periods(value: Any) -> tuple[int, int]:
-    """Return a pair (y, x) of numbers of periods."""
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise ArgumentValueError(f"{ref('periods')} must be a pair (y, x) of integers, got {value!r}")
-    y, x = (validation.count(number, f"periods[{axis}]", most=_MAX_PERIODS) for axis, number in enumerate(value))
-    return y, x

@@ -24,7 +24,9 @@ Illuminant = str | Spectrum
 
 # The visible range, over which colours are integrated [nm].
 LAMBDA_MIN_NM = 380
-LAMBDA_MAX_NM = 780  # [nm]
+LAMBDA_MAX_NM = 780
+VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
+VISIBLE_NM.setflags(write=False)
 # Limits of the wavelengths that a caller may pass.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
@@ -42,23 +44,27 @@ RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
 RGB_TO_XYZ.setflags(write=False)
 
 
-def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
-    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
-    if isinstance(illuminant, Spectrum):
-        return illuminant
-    if not isinstance(illuminant, str):
+def check_illuminant_type(illuminant: object, name: str = "illuminant") -> Illuminant:
+    """Return a spectrum or a name, which may be of no illuminant, or raise ``TypeError``."""
+    if not isinstance(illuminant, (str, Spectrum)):
         raise ArgumentTypeError(
             f"{ref(name)} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
             f"{type(illuminant).__name__}"
         )
-    if illuminant in PRECOMPUTED:
-        return illuminant
-    range_nm = _tabulated_nm(illuminant)
+    return illuminant
+
+
+def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
+    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
+    checked = check_illuminant_type(illuminant, name)
+    if isinstance(checked, Spectrum) or checked in PRECOMPUTED:
+        return checked
+    range_nm = _tabulated_nm(checked)
     if range_nm is None:
         names = sorted(colour_science().SDS_ILLUMINANTS)
         raise ArgumentValueError(
             f"{ref(name)} must be one of {', '.join(names[:12])}, … ({len(names)} illuminants and the light sources of "
-            f"colour-science), or a spectrum, got {illuminant!r}{did_you_mean(illuminant, names)}"
+            f"colour-science), or a spectrum, got {illuminant!r}{did_you_mean(checked, names)}"
         )
     start, end = range_nm
     if start > LAMBDA_MIN_NM or end < LAMBDA_MAX_NM:
@@ -66,7 +72,7 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
             f"{ref(name)} must cover {LAMBDA_MIN_NM} to {LAMBDA_MAX_NM} nm, "
             f"but {illuminant!r} is tabulated from {start:g} to {end:g} nm"
         )
-    return illuminant
+    return checked
 
 
 def _distribution(illuminant: str) -> Any:
@@ -96,8 +102,7 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """
     name = check_illuminant(illuminant)
     if isinstance(name, Spectrum):
-        nm = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1)
-        products = _products(np.interp(nm, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
+        products = _products(np.interp(VISIBLE_NM, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
     else:
         products = np.load(PRECOMPUTED[name]) if name in PRECOMPUTED else products_by_colour_science(name)
     products.setflags(write=False)
@@ -141,7 +146,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
     if np.any(np.diff(nodes) <= 0.0):
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
-    grid = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
+    grid = VISIBLE_NM
     # Between two of these both the curves and the interpolant are smooth: three Gauss points each.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]

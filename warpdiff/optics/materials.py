@@ -35,7 +35,6 @@ _THICKEST_FILM_NM = 1000.0
 _OPAQUE = 0.01
 # Linear interpolation between them has an error of 3e-6 for Schlick's reflectance.
 _TRANSMITTANCE_ANGLES = 1025
-VISIBLE_NM = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +205,7 @@ class Material:
     @property
     def is_opaque(self) -> bool:
         """Whether no visible light is transmitted to a pigment below."""
-        return bool(np.max(_index(self, VISIBLE_NM).imag) > _OPAQUE)
+        return bool(np.max(_index(self, colorimetry.VISIBLE_NM).imag) > _OPAQUE)
 
 
 def reflectance_at(
@@ -308,7 +307,7 @@ class IlluminatedMaterial:
 def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
     """R at equal steps of the cosine from 0 to 1, and at 380, 381, … 780 nm, shape (angles, 401)."""
     cosines = np.linspace(0.0, 1.0, angles)[:, None]
-    result = reflectance_at(material, VISIBLE_NM, cosines).astype(np.float32)
+    result = reflectance_at(material, colorimetry.VISIBLE_NM, cosines).astype(np.float32)
     result.setflags(write=False)
     return result
 
@@ -368,6 +367,6 @@ def transmittances(normal: float, material: Material | None) -> NDArray[np.float
         return np.asarray(through)
     if material.is_opaque:
         return np.zeros((len(cosines), 3))
-    transmittance = 1.0 - reflectance_at(material, VISIBLE_NM, cosines[:, None])
-    weights = colorimetry.xyz_to_rgb(VISIBLE_NM[:, None] ** 2 * colorimetry.colour_products("D65"))
+    transmittance = 1.0 - reflectance_at(material, colorimetry.VISIBLE_NM, cosines[:, None])
+    weights = colorimetry.xyz_to_rgb(colorimetry.VISIBLE_NM[:, None] ** 2 * colorimetry.colour_products("D65"))
     return np.asarray(np.clip(transmittance @ weights / weights.sum(axis=0), 0.0, 1.0))

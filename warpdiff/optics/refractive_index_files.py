@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Limit: size of a file [bytes].
-_MOST_BYTES = 16 << 20
 # Number of wavelengths at which a formula is tabulated.
 _STEPS = 512
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
@@ -34,7 +32,7 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
         OSError: The file does not exist, or cannot be read.
         ValueError: The file has no index of refraction that can be read.
     """
-    text = read_text(file, _MOST_BYTES)
+    text = read_text(file)
     try:
         if file.suffix.lower() in {".yml", ".yaml"}:
             tables, source = _yaml(text)
@@ -95,12 +93,8 @@ def _formula(number: str, body: str) -> Table:
     if number not in _FORMULAS:
         raise ValueError(f"formula {number} is not supported: use a table, or formula 1, 2, 3 or 5")
     numbers = {}
-    for name in ("wavelength_range", "coefficients"):
-        line = re.search(
-            rf"^\s*(?:{name}|range):[ \t]*([^\n]*)$" if name != "coefficients" else rf"^\s*{name}:[ \t]*([^\n]*)$",
-            body,
-            re.MULTILINE,
-        )
+    for name, key in (("wavelength_range", "(?:wavelength_range|range)"), ("coefficients", "coefficients")):
+        line = re.search(rf"^\s*{key}:[ \t]*([^\n]*)$", body, re.MULTILINE)
         if line is None:
             raise ValueError(f"formula {number} has no {name}")
         numbers[name] = [float(word) for word in line[1].split()]

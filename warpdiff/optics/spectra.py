@@ -16,8 +16,6 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-# Limit: size of a file [bytes].
-_MOST_BYTES = 16 << 20
 # c₂ of Planck's law [nm K], as CIE 15 has it.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
 # The range of CIE's formula for phases of daylight.
@@ -130,7 +128,7 @@ class Spectrum:
         """
         file = validation.path(path, "path")
         rows = []
-        for line in read_text(file, _MOST_BYTES).splitlines():
+        for line in read_text(file).splitlines():
             try:
                 rows.append([float(cell) for cell in re.split(r"[,;\s]+", line.strip())[:2]])
             except ValueError:

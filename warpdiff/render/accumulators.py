@@ -17,6 +17,7 @@ class Accumulators:
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Sums of hits; all lights share this array.
+        coverage_levels: Level of the cells that the coverage is from; empty for points, shared likewise.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty for points.
         edges: Whether an edge passes through the pixel, as its cells show; all lights share this array.
@@ -28,6 +29,7 @@ class Accumulators:
 
     xyz: wp.array
     coverage: wp.array
+    coverage_levels: wp.array
     illuminated: wp.array
     errors: wp.array
     edges: wp.array
@@ -43,8 +45,9 @@ class Accumulators:
             return wp.zeros(size, dtype=dtype, device=device)
 
         return cls(
-            zeros(wp.vec3f), zeros(wp.float64), zeros(wp.bool), zeros(wp.float32, pixels * means),
-            zeros(wp.bool, pixels * means), zeros(wp.vec2f, 0), zeros(wp.float32, 0), zeros(wp.float32, 0),
+            zeros(wp.vec3f), zeros(wp.float64), zeros(wp.uint8, pixels * means), zeros(wp.bool),
+            zeros(wp.float32, pixels * means), zeros(wp.bool, pixels * means), zeros(wp.vec2f, 0),
+            zeros(wp.float32, 0), zeros(wp.float32, 0),
         )  # fmt: skip
 
     def extended(self, *, skies: bool, penumbrae: bool) -> Accumulators:
@@ -57,16 +60,15 @@ class Accumulators:
             result = replace(result, penumbra_errors=errors, occluded_power=power)
         return result
 
-    def for_one_light(self) -> Accumulators:
-        """Return sums of a single light, which share what belongs to the pixels."""
-        own = {name: wp.zeros_like(getattr(self, name)) for name in _OF_ONE_LIGHT}
+    def of_one_light(self, previous: Accumulators | None) -> Accumulators:
+        """Return sums of a single light, in arrays of previous ones, that share what belongs to the pixels."""
+        own = {
+            name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)
+            for name in _OF_ONE_LIGHT
+        }
         return replace(self, **own)
 
-    def sharing(self, sums: Accumulators) -> Accumulators:
-        """Return the same sums of a single light that share what belongs to the pixels with other sums."""
-        return replace(sums, **{name: getattr(self, name) for name in _OF_ONE_LIGHT})
-
     def clear_errors(self) -> None:
-        """Set all errors and edges to zero."""
-        for array in (self.errors, self.edges, self.sky_errors, self.penumbra_errors):
+        """Set all errors, edges and levels to zero."""
+        for array in (self.errors, self.coverage_levels, self.edges, self.sky_errors, self.penumbra_errors):
             array.zero_()

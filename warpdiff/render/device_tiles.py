@@ -29,7 +29,6 @@ class DeviceTiles:
     """
 
     # The host takes no part, and completes no pictures on the way.
-    makes_previews = False
 
     def __init__(self, light: LightRefinement) -> None:
         """Allocate arrays of fixed size, as recorded launches require, for a picture under lights like this one."""

@@ -62,7 +62,7 @@ class Picture:
     def __init__(
         self, surface: Surface, view: View, optics: SurfaceOptics, *, smooth: bool = True, samples_per_pixel: int = 1,
         means: bool = False, margin: int = 0, materials_of_faces: NDArray[np.int32] | None = None,
-        device_driven: bool | None = None, device: wp.Device, threads: int,
+        device_driven: bool = False, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """Allocate the arrays of a picture.
 
@@ -75,8 +75,8 @@ class Picture:
             means: Whether pixels show means, which begin with one ray per pixel.
             margin: Number of additional pixels on each side, which the filters of the outermost pixels cover.
             materials_of_faces: Index of each face's material; None for a single material.
-            device_driven: Whether the device fills the picture without the host, so that its launches can be recorded;
-                None is on a GPU only. The host's part makes pictures faster on the CPU.
+            device_driven: Whether the CPU, too, fills the picture without the host, so that its launches can be
+                recorded; the host's part makes pictures faster there.
             device: The Warp device.
             threads: Number of threads on the CPU.
         """
@@ -116,9 +116,11 @@ class Picture:
     def set_lights(self, parts: Sequence[LightPart]) -> None:
         """Set the lights; their passes take over the arrays of the passes before, which a recorded graph reads."""
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
-        self._parts, self._passes = list(parts), [part.make_pass(self.context) for part in parts]
-        for light_pass, previous in zip(self._passes, before, strict=False):
+        # Lights that are refused leave those before.
+        passes = [part.make_pass(self.context) for part in parts]
+        for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
+        self._parts, self._passes = list(parts), passes
         self.sampler.set_lights(self._passes)
         several_lobes = any(light_pass.lobe_count > 1 for light_pass in self._passes)
         self._sums = self._sums.extended(
@@ -127,8 +129,7 @@ class Picture:
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
             # The arrays of one light stay the same, as a recorded graph reads them.
-            self._own_sums = self._own_sums or self._sums.for_one_light()
-            self._light_sums = self._own_sums.sharing(self._sums)
+            self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
@@ -173,6 +174,8 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
+        # A device completes one picture.
+        previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.uses_footprints)
         if len(self._passes) > 1:
             # Each light takes all of its cells before the next, so that only whole pictures meet a coarser tolerance.
@@ -198,7 +201,6 @@ class Picture:
         batch = self.sampler.batch(of_light, self._unserved_gain, deviation=pixel_filter.deviation_at(0, means=True))
         for light, light_pass in enumerate(self._passes):
             if count > 1:
-                of_light.errors.zero_()
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
             self._add_own_rays(light, batch, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
@@ -285,12 +287,13 @@ class Picture:
         )  # fmt: skip
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
+        # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
+        covered = int(np.count_nonzero(sums.coverage.numpy()))
         report = report_of(
             error, illuminated, self._cropped(sums.edges) if self._refined else None, tolerance=plan.tolerance,
             light_sample_count=sum(light.sample_count for light in self._parts),
-            # Pixels are subdivided, too, of which cells alone may hit the mesh.
-            refined_share=min(subdivided / max(int(np.count_nonzero(coverage)), 1), 1.0),
+            refined_share=min(subdivided / max(covered, 1), 1.0),
         )  # fmt: skip
         return Image(
             xyz=xyz, mask=coverage > 0.0, illuminated=illuminated, coverage=coverage, error=error, plan=plan,

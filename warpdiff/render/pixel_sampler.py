@@ -97,7 +97,7 @@ class PixelSampler:
             # The number of rays that hit the mesh decides how shadow rays are traced.
             rays.launch(calls)
             calls = []
-            light_pass.prepare_sampling(self._samples_per_pixel)
+            light_pass.prepare_shadow_rays(lambda: self._samples_per_pixel * rays.gbuffer.hit_count)
         is_first = index == LobeIndex(0, 0)
         begins = is_first and sample == 0
         # Each light finds its colours of means by itself; hits count once.

@@ -97,7 +97,8 @@ class LightRefinement:
     @property
     def _resolved(self) -> list[wp.array]:
         """What the cells of a level set."""
-        return [self.sums.xyz, self.sums.errors, self.sums.coverage, self.sums.illuminated, self.sums.edges]
+        sums = self.sums
+        return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
         """Return the call that estimates the error of every pixel by one ray, and marks those to subdivide."""
@@ -168,8 +169,8 @@ class TileGroup:
     """Pixels that are subdivided together.
 
     Attributes:
-        pixels: Pixels to resolve; empty is all of the picture.
-        tiles: Tiles of the last level; empty is all of the picture that are chosen.
+        pixels: Pixels to resolve; empty, on a GPU, is all of the picture.
+        tiles: Tiles of the last level; empty, on a GPU, is all of the picture that are chosen.
         sums: What their cells give, the struct ``FilteredSums`` of the kernels.
         chosen: By pixel of the picture, whether its tile is subdivided next.
         share: Beginning and end of the group as shares of the light's progress.
@@ -188,12 +189,10 @@ class TileExecutor(Protocol):
     Attributes:
         floor: Luminance that errors are relative to at least, (1,).
         marks: By pixel, whether it is active, converged or neither.
-        makes_previews: Whether coarser pictures may be completed on the way.
     """
 
     floor: wp.array
     marks: wp.array
-    makes_previews: bool
 
     @property
     def count(self) -> int:
@@ -212,7 +211,7 @@ class TileExecutor(Protocol):
         """Shade the cells of a group's tiles at a level, and splat them to the pixels around."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a call over pixels or tiles; an empty array is the whole picture."""
+        """Launch a call over the pixels or tiles of a group, or over the marks of the whole picture."""
 
     def has_chosen(self, group: Any) -> bool:
         """Reduce a group to its chosen tiles; whether there are any, as far as the executor can know."""
@@ -237,10 +236,10 @@ class RefinementLoop:
     ) -> None:  # fmt: skip
         """Refine a light until no pixel is active.
 
-        The picture meets the larger tolerances of ``previews`` first, and calls the function beside each. The final
-        picture is the same to the bit: each begins from pixels of one ray, but finds the tiles again that there are.
+        The picture meets the larger tolerances of ``previews`` first, and calls the function beside each. They do not
+        change the final picture: each begins from pixels of one ray, but finds the tiles again that there are. As with
+        any two ways to trace shadow rays, a grazing one may tell where a preview traced it in another way.
         """
-        previews = previews if self.tiles.makes_previews else ()
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
         self.tiles.keep_tiles(keep=len(previews) > 0)

@@ -117,7 +117,7 @@ class Renderer:
             )
             self._recorded = records(evaluation.device)
             self._mine = _ThreadPicture(
-                functools.partial(inputs.picture, surface, view, device_driven=self._recorded or None),
+                functools.partial(inputs.picture, surface, view, device_driven=self._recorded),
                 inputs.parts,
                 view,
             )
@@ -202,12 +202,14 @@ class Renderer:
                     f"{view.width} × {view.height}; use renderer.resized(view) for another size"
                 )
         with self._turn, picture_memory(mine.view):
+            mine.is_drawn = False
+            # Lights that are refused leave the lights and the view before.
+            mine.picture.set_lights(parts)
+            mine.parts = parts
             # The G-buffer stays valid while the view does.
             if view is not None:
                 mine.view = view
                 mine.picture.set_view(view)
-            mine.parts, mine.is_drawn = parts, False
-            mine.picture.set_lights(parts)
             mine.is_drawing = True
             try:
                 if self._recorded:

@@ -123,14 +123,14 @@ class SharedTileBuffers:
         def work(piece: tuple[Pipeline, range]) -> None:
             pipeline, part = piece
             first = self._free.pop()
-            end = first + len(part) * rays
-            self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
-            self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
-            self._colours[first:end] = 0.0
-            # Look-ups take whole batches.
-            for gains in self._gains:
-                gains[end : -(-end // BATCH) * BATCH] = 0.0
             try:
+                end = first + len(part) * rays
+                self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
+                self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
+                self._colours[first:end] = 0.0
+                # Look-ups take whole batches.
+                for gains in self._gains:
+                    gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))
             finally:
                 self._free.append(first)

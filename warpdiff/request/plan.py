@@ -20,7 +20,6 @@ from warpdiff.request.directions import DirectionRange
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable
     from pathlib import Path
 
 # Format of saved plans, which counts up as soon as a field changes its name or meaning.
@@ -47,17 +46,7 @@ _SCOPE = {
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),
     **dict.fromkeys(("lambda_min_nm", "lambda_max_nm"), (SHORTEST_NM, LONGEST_NM)),
 }
-# Fields by what they are.
-_REQUEST = ("method", "coherence", "tolerance", "footprint")
-_NUMBERS = (
-    "terms", "least_weight", "wavelengths", "subdivisions", "bandwidth_um", "adaptive", "rings_per_octave",
-    "azimuths_per_width", "w_basis_size",
-)  # fmt: skip
 _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
-_FINDINGS = (
-    "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds", "is_measured",
-    "validation_size",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,8 +54,7 @@ class Plan:
     """The numbers of a computation, and the reasons for them.
 
     ``dataclasses.replace(plan, terms=9)`` changes a number; pass the result as ``plan=``. Errors are relative errors of
-    XYZ, as ``tolerance`` is. ``request``, ``kernel_numbers``, ``valid_range``, ``predicted_errors`` and ``findings``
-    are views of the fields by their role.
+    XYZ, as ``tolerance`` is.
 
     Attributes:
         method: Expansion, or ``"direct"``.
@@ -160,7 +148,8 @@ class Plan:
                 f"{ref('w_basis_size')} must be a multiple of {W_BASIS_STEP} up to {MOST_W_BASIS}, or 0, got "
                 f"{self.w_basis_size}"
             )
-        validation.flag(self.footprint, "footprint")
+        if validation.flag(self.footprint, "footprint"):
+            check_footprint(self.method)
         check_method(self.method, "table" if self.rings_per_octave else "sampled", self.coherence)
         validation.number(self.tolerance, "tolerance", least=1e-5, most=0.5)
         if not 1 <= validation.count(self.terms, "terms") <= MAX_TERMS:
@@ -172,7 +161,7 @@ class Plan:
             )
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
-        for name in {*_ERRORS, *_FINDINGS} - {"is_measured", "validation_size"}:
+        for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
             # Bounds of what diverges are of any size.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.flag(self.is_measured, "is_measured")
@@ -193,32 +182,9 @@ class Plan:
         return float(sum(self.predicted_errors.values()))
 
     @property
-    def request(self) -> dict[str, Any]:
-        """The request that it answers, by field."""
-        return self._view(_REQUEST)
-
-    @property
-    def kernel_numbers(self) -> dict[str, Any]:
-        """The numbers that kernels and tables take, by field."""
-        return self._view(_NUMBERS)
-
-    @property
-    def valid_range(self) -> dict[str, Any]:
-        """The range that these numbers hold for, by field."""
-        return self._view(_SCOPE)
-
-    @property
     def predicted_errors(self) -> dict[str, float]:
         """The error from each source, by field; their sum is ``error``."""
-        return self._view(_ERRORS)
-
-    @property
-    def findings(self) -> dict[str, Any]:
-        """Findings on the surface and the search, by field."""
-        return self._view(_FINDINGS)
-
-    def _view(self, names: Iterable[str]) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in _ERRORS}
 
     @property
     def uses_footprints(self) -> bool:
@@ -329,14 +295,17 @@ class Plan:
         try:
             entries = json.loads(text)
             is_plan = entries.pop("format") == _FORMAT and set(entries) == names
-            is_plan = is_plan and set(entries["coherence"]) == of_coherence
-        except (ValueError, TypeError, AttributeError, KeyError):
+            is_plan = is_plan and entries["coherence"].keys() == of_coherence
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
             is_plan = False
         if not is_plan:
             raise ArgumentValueError(
                 f"{ref('text')} must be a plan that Plan.to_json of this version wrote, got {text!r:.40}"
             )
-        return cls(**with_tuples(entries | {"coherence": Coherence(**with_tuples(entries["coherence"]))}))
+        try:
+            return cls(**with_tuples(entries | {"coherence": Coherence(**with_tuples(entries["coherence"]))}))
+        except ArgumentTypeError as error:
+            raise ArgumentValueError(error.marked) from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the plan to a JSON file, from which :meth:`load` reads an equal plan.
@@ -382,6 +351,15 @@ def check_method(method: str, integration: str, coherence: Coherence) -> None:
     legal = [name for name in METHODS if _is_legal(name, integration, coherence)]
     others = f"use one of {', '.join(map(repr, legal))}" if legal else f"use {ref('integration', 'sampled')}"
     raise ArgumentValueError(f"{ref('method', method)} {why}: {others}")
+
+
+def check_footprint(method: str) -> None:
+    """Refuse means over footprints by a method that sums single directions."""
+    if method == "direct":
+        raise ArgumentValueError(
+            f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single directions: "
+            "remove one of them"
+        )
 
 
 def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:

@@ -17,7 +17,7 @@ from annotated_types import Ge, Interval
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
-from warpdiff.request.plan import Plan, check_method
+from warpdiff.request.plan import Plan, check_footprint, check_method
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -176,13 +176,8 @@ class PictureSettings(EvaluationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        method = self.method if self.plan is None else self.plan.method
-        if self.footprint and method == "direct":
-            raise ArgumentValueError(
-                f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single "
-                "directions: "
-                "remove one of them"
-            )
+        if self.footprint:
+            check_footprint(self.method if self.plan is None else self.plan.method)
 
     @property
     def effective_footprint(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from warpdiff.core import memory, validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.samples.corn_snake import Tangent, check_meander, snake
+from warpdiff.samples.corn_snake import Tangent, check_meander, grid_faces, snake
 
 if TYPE_CHECKING:
     import trimesh
@@ -109,7 +109,7 @@ def tube(
     # A tip's vertices lie half a step on, over the middle of their triangles.
     around[[0, -1]] += 0.5 / segments_around
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=2)
-    faces = _grid_faces(len(s), segments_around + 1)
+    faces = _alternating_faces(len(s), segments_around + 1)
     # The rings at the two tips have no radius: their quadrilaterals are triangles.
     columns = segments_around + 1
     last = (len(s) - 1) * columns
@@ -158,7 +158,7 @@ def disc(
     r = inner_radius + share * (outer_radius - inner_radius)
     vertices = np.stack([r * np.cos(phi)[:, None], r * np.sin(phi)[:, None], np.zeros((segments + 1, rings + 1))], 2)
     v, u = np.meshgrid(turn, share, indexing="ij")
-    faces = _grid_faces(segments + 1, rings + 1)
+    faces = _alternating_faces(segments + 1, rings + 1)
     if inner_radius == 0.0:
         # Faces with two corners in the middle have no area; the others' middle is half a step on, as at a tube's tip.
         v[:, 0] += 0.5 / segments
@@ -184,18 +184,14 @@ def _meander(
     return points, bend * np.cos(frequency * s), -bend * frequency * np.sin(frequency * s)
 
 
-def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
+def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
     """Two triangles a cell of a grid of vertices, whose (column, row) axes are right-handed.
 
     The diagonals alternate from cell to cell, so that sums over a vertex's faces favour no side.
     """
-    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
-    a = (row * columns + column).ravel()
-    b, c, d = a + 1, a + columns, a + columns + 1
-    even = ((row + column) % 2 == 0).ravel()[:, None]
-    first = np.where(even, np.stack([a, b, d], axis=1), np.stack([a, b, c], axis=1))
-    second = np.where(even, np.stack([a, d, c], axis=1), np.stack([b, d, c], axis=1))
-    return np.stack([first, second], axis=1).reshape(-1, 3)
+    row, column = np.indices((rows - 1, columns - 1))
+    is_even = np.repeat((row + column) % 2 == 0, 2)[:, None]
+    return np.where(is_even, grid_faces(columns, rows, rising=True), grid_faces(columns, rows))
 
 
 def _mesh(

@@ -320,7 +320,7 @@ def _joined(patches: list[_Patch]) -> _Patch:
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
 
 
-def _grid(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
+def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
     """Two triangles a cell of a grid whose (column, row) axes are right-handed; ``rising`` diagonals join a and d."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).ravel()
@@ -346,16 +346,16 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
     for rows, along, is_inside, free, rising in kinds:
         x, tau = (grid.reshape(-1, 1) for grid in np.meshgrid(rows, along))
         corners = _plate(skin, x, tau, a, b)
-        faces = _grid(n + 1, n + 1, rising=rising)
+        faces = grid_faces(n + 1, n + 1, rising=rising)
         patches.append(_patches(corners, corners[:2], faces[np.all(is_inside[faces], axis=1)]))
         # From a free edge down to the front edge of the scale beneath, whose texture continues this one's.
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         if free[0]:
             top, low = _plate(skin, x, tau, ones, step), _plate(skin, x + 1, tau + 0.5, zeros, step)
-            patches.append(_wall(top, low, _RISER, _grid(n + 1, 2)[:, ::-1]))
+            patches.append(_wall(top, low, _RISER, grid_faces(n + 1, 2)[:, ::-1]))
         if free[1]:
             top, low = _plate(skin, x, tau, step, ones), _plate(skin, x - 1, tau + 0.5, step, zeros)
-            patches.append(_wall(top, low, -_RISER, _grid(n + 1, 2)))
+            patches.append(_wall(top, low, -_RISER, grid_faces(n + 1, 2)))
     return patches
 
 
@@ -380,13 +380,13 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
     for columns in _belly_columns(skin, n):
         t, x = (grid.ravel() for grid in np.meshgrid(step, columns, indexing="ij"))
         _, *rest = _plate(skin, 0.0, tau0, t, t)
-        patches.append(_patches((x[None], *rest), (x[None], rest[0]), _grid(n + 1, n + 1)))
+        patches.append(_patches((x[None], *rest), (x[None], rest[0]), grid_faces(n + 1, n + 1)))
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
         # In two steps, for a scale's corner lies halfway up.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
-        patches.append(_patches((x, *three[1:]), (x, v), _grid(n + 1, 3), wall=True))
+        patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
     return patches
 
 
@@ -401,7 +401,7 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
     """Rings of vertices, the first or the last of which is a point."""
     rows, columns = len(tau), len(x)
     u, v = np.tile(x, rows), np.repeat(tau, columns)
-    faces = _grid(columns, rows, rising=not first)
+    faces = grid_faces(columns, rows, rising=not first)
     at = 0 if first else (rows - 1) * columns
     # A tip's vertices lie half a step on, over the middle of their triangles.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0

@@ -28,6 +28,9 @@ RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
 # A grid of faces pays from this many faces per shadow ray on (fitted: a face takes a fifth of the time in a grid that a
 # ray takes through the hierarchy, and a ray in the grid a quarter).
 _FACES_PER_RAY = 3
+# Bytes of a grid per face, about, and the limit of those of all grids of a light, which are there at once: of a disc's
+# hundred lobes, on meshes of up to 140,000 faces.
+_BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
 class CameraRays:
@@ -40,6 +43,7 @@ class CameraRays:
         camera: The last view as the struct ``Camera`` of the kernels.
         width: Number of pixels per row, with those of the margin.
         height: Number of rows, likewise.
+        size: Number of pixels.
         options: Device and number of threads of launches.
         gbuffer: The hits of the pixels' own rays, which :meth:`trace` fills.
         may_be_occluded: Whether the mesh could hide a light from any point that the view shows.
@@ -48,16 +52,7 @@ class CameraRays:
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Prepare the rays of a view, and of later views of the same size.
-
-        Args:
-            surface: The surface.
-            view: The first view.
-            smooth: Whether vertex normals are interpolated.
-            margin: Number of additional pixels on each side.
-            device: The Warp device.
-            threads: Number of threads on the CPU.
-        """
+        """Prepare the rays of a view, and of later views of the same size; the arguments are those of `rays_for`."""
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height
@@ -76,7 +71,7 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Return the calls that trace one of several samples of every pixel."""
+        """Return the calls that trace one of several samples of every pixel, whose places are made at once."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
@@ -110,18 +105,18 @@ class CameraRays:
             sampling.offsets = self._offsets
         return sampling
 
-    def shadow_grid(
+    def shadow_grids(
         self,
-        to_light: Sequence[float] | None,  # noqa: ARG002 (of the rays that know their hits)
-        shadow_rays: Callable[[], int],  # noqa: ARG002
-    ) -> Any:
-        """Return the struct ``ShadowGrid`` for shadow rays to a light, which here asks the hierarchy.
+        to_lights: Sequence[Sequence[float] | None],
+        shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
+    ) -> list[Any]:
+        """Return the structs ``ShadowGrid`` for shadow rays to lights, which here ask the hierarchy.
 
         Args:
-            to_light: Direction to a directional light; None for other lights.
-            shadow_rays: Function that counts the shadow rays.
+            to_lights: Directions to directional lights; None for other lights.
+            shadow_rays: Function that counts the shadow rays to each light.
         """
-        return no_grid(self.scene)
+        return [no_grid(self.scene) for _ in to_lights]
 
 
 class RasterizedRays(CameraRays):
@@ -154,16 +149,20 @@ class RasterizedRays(CameraRays):
             **self.options,
         )  # fmt: skip
 
-    def shadow_grid(self, to_light: Sequence[float] | None, shadow_rays: Callable[[], int]) -> Any:
-        """Return a grid of faces if it pays for so many shadow rays, and otherwise one that asks the hierarchy."""
-        count = shadow_rays()
-        if to_light is None or _FACES_PER_RAY * count <= self.scene.face_count:
-            return no_grid(self.scene)
-        return grid_for(self.surface, self.scene, to_light, **self.options)
+    def shadow_grids(self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]) -> list[Any]:
+        """Return grids of faces if they pay for so many shadow rays and fit, and otherwise ask the hierarchy."""
+        faces = self.scene.face_count
+        pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
+        return [
+            grid_for(self.surface, self.scene, to_light, **self.options)
+            if pays and to_light is not None
+            else no_grid(self.scene)
+            for to_light in to_lights
+        ]
 
 
 def rays_for(
-    surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool | None = None,
+    surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool = False,
     device: wp.Device, threads: int,
 ) -> CameraRays:  # fmt: skip
     """Return the rays that suit a device.
@@ -173,11 +172,9 @@ def rays_for(
         view: The first view.
         smooth: Whether vertex normals are interpolated.
         margin: Number of additional pixels on each side.
-        device_driven: Whether the device finds hits without the host, so that launches can be recorded; None is on a
-            GPU only.
+        device_driven: Whether the CPU, too, finds hits without the host, so that launches can be recorded.
         device: The Warp device.
         threads: Number of threads on the CPU.
     """
-    on_device = not device.is_cpu if device_driven is None else device_driven
-    rays = CameraRays if on_device else RasterizedRays
+    rays = RasterizedRays if device.is_cpu and not device_driven else CameraRays
     return rays(surface, view, smooth=smooth, margin=margin, device=device, threads=threads)

@@ -38,23 +38,16 @@ class SceneArrays:
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: Any = None) -> None:
-        """Copy the arrays to the device.
-
-        Args:
-            surface: What to copy.
-            smooth: Whether vertex normals are interpolated; otherwise every face shows its own.
-            device: A Warp device or its name; ``None`` is Warp's default.
-        """
+        """Copy the arrays to the device; unless ``smooth``, every face shows its own normal, not the vertices'."""
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
-        arrays.positions = wp.array(surface.vertices, dtype=wp.vec3f, device=device)
-        arrays.faces = wp.array(surface.faces, dtype=wp.int32, device=device)
-        arrays.normals = wp.array(surface.normals, dtype=wp.vec3f, device=device)
-        arrays.tangents = wp.array(surface.tangents, dtype=wp.vec3f, device=device)
-        arrays.handedness = wp.array(surface.handedness, dtype=wp.float32, device=device)
-        arrays.uvs = wp.array(surface.uvs, dtype=wp.vec2f, device=device)
-        arrays.vertex_colours = wp.array(colours, dtype=wp.vec3f, device=device)
-        arrays.texture = wp.array(surface.texture, dtype=wp.vec3f, device=device)
+        for name, values, dtype in (
+            ("positions", surface.vertices, wp.vec3f), ("faces", surface.faces, wp.int32),
+            ("normals", surface.normals, wp.vec3f), ("tangents", surface.tangents, wp.vec3f),
+            ("handedness", surface.handedness, wp.float32), ("uvs", surface.uvs, wp.vec2f),
+            ("vertex_colours", colours, wp.vec3f), ("texture", surface.texture, wp.vec3f),
+        ):  # fmt: skip
+            setattr(arrays, name, wp.array(values, dtype=dtype, device=device))
         arrays.has_vertex_colours = surface.vertex_colours is not None
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)

@@ -12,7 +12,8 @@ import numpy as np
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.diffraction import chebyshev
 from warpdiff.optics import colorimetry
-from warpdiff.optics.materials import VISIBLE_NM, IlluminatedMaterial, reflectance_at
+from warpdiff.optics.colorimetry import VISIBLE_NM
+from warpdiff.optics.materials import IlluminatedMaterial, reflectance_at
 from warpdiff.request.plan import MOST_W_BASIS, W_BASIS_STEP
 from warpdiff.tables.polar_grid import LOG_RED, ring_count
 

@@ -14,8 +14,7 @@ import numpy as np
 from annotated_types import Ge, Interval, Unit
 
 from warpdiff.apps.sequences import animation as animated
-from warpdiff.apps.sequences.dask_workers import draw_by_workers
-from warpdiff.apps.sequences.frames import FrameJob, draw_frame
+from warpdiff.apps.sequences.frames import FrameJob, draw_by_workers, draw_frame
 from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter

@@ -154,13 +154,7 @@ class Control:
 def controls(
     meshes: Sequence[str] = (), heights: Sequence[str] = (), environments: Sequence[str] = ()
 ) -> dict[str, Control]:
-    """Return all controls by name.
-
-    Args:
-        meshes: Names of the mesh files that the page offers.
-        heights: Names of the files of height fields that it offers.
-        environments: Names of the files of environments that it offers.
-    """
+    """Return all controls by name; the page offers the files of meshes, height fields and skies of these names."""
     bodies, surfaces, skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     lights = ({"none": "none"} if environments else {}) | {"directional": "directional", "point": "point"}
     others = tuple(name for name in bodies if name not in LONG_BODIES)

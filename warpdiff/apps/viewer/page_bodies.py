@@ -138,7 +138,7 @@ def height_field_of(call: Call) -> wd.HeightField:
         heightfield = call.make()
         return {"heights_um": heightfield.heights_um, "pitch_um": np.array(heightfield.pitch_um)}
 
-    arrays = disk_cache.cached_on_disk(("height field", wd.__version__, str(call)), np.zeros(0), make)
+    arrays = disk_cache.cached_on_disk(("height field", str(call)), np.zeros(0), make)
     return wd.HeightField.of_known_scale(arrays["heights_um"], tuple(arrays["pitch_um"].tolist()))
 
 

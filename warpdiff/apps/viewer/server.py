@@ -1,4 +1,4 @@
-"""Server of the viewer: one page and one web socket, for up to 8 pages at once.
+"""``warpdiff view``: the server of the viewer, one page and one web socket, for up to 8 pages at once.
 
 A page loads no other file and connects to no other host. Over the socket it sends small JSON messages, and receives
 pictures as four bytes of length, that much JSON, and a file. Requests are answered under these conditions:
@@ -19,6 +19,8 @@ import logging
 import secrets
 import socket
 import struct
+import threading
+import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
+    from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
 MOST_PAGES = 8
@@ -56,6 +59,45 @@ _MOST_GENERATION = 2**53 - 1
 
 class _HostileError(Exception):
     """Raised for a message that no page sends."""
+
+
+def run(
+    files: NamedFiles, *, host: str, port: int, opens_browser: bool, say: Callable[[str], None], **options: Any
+) -> None:
+    """Serve the viewer until it is interrupted.
+
+    Args:
+        files: Files that the page offers besides the sample bodies and gratings.
+        host: Address to listen on; an address that other machines reach requires a token.
+        port: Port; 0 picks a free one.
+        opens_browser: Whether to open the page.
+        say: Function that is called with the line that contains the page's address.
+        options: ``device`` and ``threads``, as in :func:`warpdiff.shade`.
+    """
+
+    def begin() -> Studio:
+        # These imports take a second, during which the browser loads the page.
+        from warpdiff.apps.viewer.session import Studio
+
+        return Studio(files, defaults(files.controls), **options)
+
+    async def serve_page() -> None:
+        studio = asyncio.ensure_future(asyncio.to_thread(begin))
+        server = ViewServer(files.controls, lambda: asyncio.shield(studio), host, port)
+
+        def ready() -> None:
+            say(f"{server.address}  (Ctrl-C stops the viewer)")
+            if opens_browser:
+                threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
+
+        serving = asyncio.ensure_future(server.run(ready))
+        # A studio or server that fails to start raises its error now.
+        done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+        await serving
+
+    asyncio.run(serve_page())
 
 
 @dataclass

@@ -31,7 +31,7 @@ from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, spelled
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.image.display_transform import MEAN_SHOWN
-from warpdiff.lights.environment import rotated
+from warpdiff.lights.environment import with_settings
 from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
@@ -308,7 +308,8 @@ class Studio:
             image = renderer.image()
             ready = time.perf_counter()
             saving = self._display_options(session, request, image, moving=request.moving and stage.tolerance is None)
-            display = saving | _background(scene, lights, view)
+            behind = {"background": lights[-1].background(view) / np.float32(scene.normal)} if scene.is_behind else {}
+            display = saving | behind
             pixels = encoding.displayed(image, exact=stage.last, **display)
             displayed = time.perf_counter()
             data = encoding.encoded(pixels, lossless=stage.last)
@@ -392,7 +393,7 @@ class Studio:
             loaded = self._caches.environments.get_or_make(path, lambda: wd.Environment.load(path))
             options = {option.name: option.default for option in describe(wd.Environment.load).values()}
             del options["path"]
-            return rotated(loaded, **options | dict(sky.options))
+            return with_settings(loaded, **options | dict(sky.options))
 
         return [*lights, self._caches.skies.get_or_make(str(sky), make)]
 
@@ -481,11 +482,6 @@ def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
-
-
-def _background(scene: Scene, lights: list[Any], view: wd.View) -> dict[str, Any]:
-    """Return the environment as a picture's background, if it is one."""
-    return {"background": lights[-1].background(view) / np.float32(scene.normal)} if scene.is_behind else {}
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:

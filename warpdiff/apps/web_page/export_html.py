@@ -243,22 +243,21 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
 
 def _add_display(arrays: Arrays) -> dict[str, Any]:
     """The table of ACES, the largest chroma by hue, and what the compression of chroma takes."""
-    tables = display_transform.tables("srgb")
-    arrays.add_differences("display", np.rint(65_535.0 * tables.aces))
-    arrays.add("most_chroma", "float32", tables.most_chroma.astype(np.float32).tobytes())
+    arrays.add_differences("display", np.rint(65_535.0 * display_transform.aces_table("srgb")))
+    arrays.add("most_chroma", "float32", display_transform.most_chroma()[1].astype(np.float32).tobytes())
     return {
         "display": {
-            "white": tables.white, "toe": tables.toe, "chromaLimits": [tables.unchanged, tables.compressed],
+            "white": display_transform.WHITE, "toe": display_transform.TOE,
+            "chromaLimits": [display_transform.UNCHANGED, display_transform.COMPRESSED],
             "background": colorimetry.srgb_decode(_BACKGROUND).tolist(),
-            **{name: np.asarray(matrix).tolist() for name, matrix in tables.matrices.items()},
+            **{name: matrix.tolist() for name, matrix in display_transform.MATRICES.items()},
         }
     }  # fmt: skip
 
 
 def _white(lobes: BakedLobes) -> Any:
     """Linear sRGB of what a white pigment of strength 1 sends back, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ."""
-    grid_um = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64) * 1e-3
-    solid_angle = reflectance_factors.pigment_solid_angle(grid_um, lobes.coherence, 0.0)
+    solid_angle = reflectance_factors.pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, lobes.coherence, 0.0)
     return colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(lobes.illuminant))
 
 
