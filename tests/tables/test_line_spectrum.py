@@ -30,7 +30,7 @@ def test_a_table_keeps_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     assert plan.rings_per_octave > 0
     # As measured; the safety in it is no reason to refuse.
-    assert plan.error <= coordinate_search.SEARCH_SAFETY * 1e-1
+    assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
     gains = reflectance_factors.gain(

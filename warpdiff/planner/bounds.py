@@ -73,7 +73,7 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     plan = Plan(
         method="direct" if method == "direct" else series, coherence=coherence, tolerance=tolerance, terms=terms,
         least_weight=tolerance * _WEIGHT_MARGINS[coherence.adds_powers], wavelengths=0, subdivisions=1,
-        bandwidth_um=_bandwidth_um(heightfield, coherence, tolerance), adaptive=True, rings_per_octave=0,
+        bandwidth_um=bandwidth_um(heightfield, coherence, tolerance), adaptive=True, rings_per_octave=0,
         azimuths_per_width=0.0, w_basis_size=0, footprint=False, energy_spread=0.0,
         max_uv=direction_range.max_uv, max_order_rate=direction_range.max_order_rate, min_w=direction_range.min_w,
         max_w=direction_range.max_w, lambda_min_nm=direction_range.lambda_min_nm,
@@ -98,7 +98,7 @@ def with_neighbours_of_darkness(plan: Plan) -> Plan:
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
-def _bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
+def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
     Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their

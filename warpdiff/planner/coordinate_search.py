@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from warpdiff.kernels.thresholds import FLOOR
 from warpdiff.planner import bounds, cost_model
+from warpdiff.planner.trial import SEARCH_SAFETY
 from warpdiff.tables import coefficient_table
 from warpdiff.tables.coefficient_table import LANES, SETS_PER_OCTAVE
 
@@ -24,22 +25,20 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Tolerance over the error that a validation set may have. Fitted: a call's error exceeds that of its validation set by
-# this factor in one call of a hundred (bench.reproduce.tolerance_sweep).
-SEARCH_SAFETY = 1.6
-# Number of repairs of a plan that fails on the validation set. Limit: they end a search that leads nowhere.
-_REPAIRS = 8
+# Number of repairs of a plan that fails on the validation set: each tries all coordinates. Limit: a search has fewer
+# than fifty trials.
+_REPAIRS = 3
+# Number of octaves by which a search coarsens a bandwidth. Limit: bounds exceed what one surface requires by less.
+_OCTAVES = 3
+# Tolerance from whose bandwidth searches of every tolerance are whole steps away. Limit: looser tolerances would cost
+# more than tighter ones by parts of a step.
+_GRID_TOLERANCE = 1e-2
 # Number of bright validation directions from which on they stand for the others. Fitted: random calls with few bright
 # directions (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # Share of the tolerance that few directions cannot guarantee: the budget where few are bright, and the least predicted
 # error. Fitted: the same calls.
 _SHARE_BY_FEW = 0.1
-
-
-import os
-_OCTAVES = int(os.environ.get("OCT", 3))
-_QS = float(os.environ.get("QS", 1))
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         automatic: Whether the method may change.
     """
     target = plan.tolerance / SEARCH_SAFETY
-    plan = more_terms(replace(plan, least_weight=trial.reference.least_weight), trial, 0)
+    plan = _on_grid(more_terms(replace(plan, least_weight=trial.reference.least_weight), trial, 0), trial)
     plan, error = _sufficient(plan, trial, target, automatic=automatic)
     errors = dict.fromkeys(("truncation", "neighbourhood", "quadrature"), 0.0)
     errors["rounding"] = max(error, target * FLOOR)
@@ -141,13 +140,13 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         return replace(plan, subdivisions=math.ceil(plan.subdivisions * _octave_steps(-steps)))
 
     def bandwidth(plan: Plan, steps: int) -> Plan:
-        return _with_bandwidth(plan, trial, _octave_steps(-steps), _octave_steps(-steps))
+        return _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, _octave_steps(-steps), _octave_steps(-steps)))
 
     def order_rate(plan: Plan, steps: int) -> Plan:
-        return _with_bandwidth(plan, trial, _octave_steps(-steps), 1.0)
+        return _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, _octave_steps(-steps), 1.0))
 
     def rest(plan: Plan, steps: int) -> Plan:
-        return _with_bandwidth(plan, trial, 1.0, _octave_steps(-steps))
+        return _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 1.0, _octave_steps(-steps)))
 
     by_mirror, bright = (1.0 if count >= MIN_BRIGHT else _SHARE_BY_FEW for count in trial.bright)
     registers = math.ceil(plan.terms / LANES)
@@ -190,14 +189,31 @@ def _octave_steps(steps: int) -> float:
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
-def _with_bandwidth(plan: Plan, trial: Trial, rate_factor: float, rest_factor: float) -> Plan:
-    """The plan with another bandwidth, of the order rate and of the rest, and the wavelengths for it."""
-    a, b, c = plan.bandwidth_um
-    a, b, c = rate_factor * a, rest_factor * b, rest_factor * c
+def _on_grid(plan: Plan, trial: Trial) -> Plan:
+    """The plan whose neighbours and bandwidth are the nearest that a search of another tolerance would try as well."""
+    plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
+    if not trial.integrates:
+        return plan
+    bandwidth_um = bounds.bandwidth_um(trial.heightfield, plan.coherence, _GRID_TOLERANCE)
+    steps = round(SETS_PER_OCTAVE * math.log2(plan.bandwidth_um[0] / bandwidth_um[0]))
+    return _with_bandwidth(plan, trial, _scaled(bandwidth_um, _octave_steps(steps), _octave_steps(steps)))
+
+
+def _scaled(
+    bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
+) -> tuple[float, float, float]:
+    """A bandwidth with other factors of the order rate and of the rest."""
+    per_rate, per_w, constant = bandwidth_um
+    return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
+
+
+def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
+    """The plan with another bandwidth and the wavelengths for it."""
+    per_rate, per_w, constant = bandwidth_um
     # For a grazing source, whose bounds were cut short, as many wavelengths serve directions nearer to the horizon.
-    served = ((plan.wavelengths - 1.0) / cost_model.SPAN - b * plan.max_w - c) / a
+    served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
-    result = replace(plan, bandwidth_um=(a, b, c), max_order_rate=rate)
+    result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
     # The samples of the periods' factor stay as many.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
@@ -223,7 +239,7 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
             plan, error = amplitudes, error_of_amplitudes
     needed = cost_model.wavelength_count(plan, float(trial.order_rate.max()), float(trial.w.max()))
     while trial.integrates and error > target / 2.0 and 2 * plan.wavelengths <= bounds.MOST_WAVELENGTHS:
-        wider = _with_bandwidth(plan, trial, 2.0, 2.0)
+        wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
         # Samples too sparse to find an order need not have a smaller error at once; otherwise the rest is float32's.

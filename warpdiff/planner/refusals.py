@@ -10,8 +10,8 @@ from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
 from warpdiff.planner import bounds
-from warpdiff.planner.coordinate_search import SEARCH_SAFETY
 from warpdiff.planner.cost_model import NM_PER_UM
+from warpdiff.planner.trial import SEARCH_SAFETY
 from warpdiff.request.plan import LABELS
 from warpdiff.tables import coefficient_table, polar_grid
 

@@ -245,7 +245,7 @@ def _measured(
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
         # Points instead of means have a larger error than a table that meets the tolerance without any safety.
         if table is not None and (
-            explicit or table.error <= plan.tolerance * (coordinate_search.SEARCH_SAFETY if footprint else 1.0)
+            explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
             return table
         if explicit:

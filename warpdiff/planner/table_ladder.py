@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.planner import cost_model
-from warpdiff.planner.coordinate_search import MIN_BRIGHT, SEARCH_SAFETY, predicted_error
+from warpdiff.planner.coordinate_search import MIN_BRIGHT, predicted_error
+from warpdiff.planner.trial import SEARCH_SAFETY
 from warpdiff.request.plan import W_BASIS_STEP
 from warpdiff.tables import mip_layout, polar_grid
 from warpdiff.tables.coefficient_table import LANES
