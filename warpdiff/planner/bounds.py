@@ -58,8 +58,6 @@ MOST_WAVELENGTHS = 65_536
 # Largest number of wavelengths for a source at the horizon. Limit: a source is foreshortened without end there; 16,384
 # wavelengths suffice for a foreshortening of fifty.
 _MOST_GRAZING = 16_384
-# Rounding error of a float32 number, relative. Derived: half a unit in the last place of 24 bits.
-_FLOAT32_ROUNDING = float(np.finfo(np.float32).eps) / 2.0
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
@@ -81,7 +79,7 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
         truncation=expansion.remainder(argument, terms),
         neighbourhood=0.0 if coherence.kind == "replicas" else _TYPICAL_SHARE * tolerance,
         quadrature=_TYPICAL_SHARE * tolerance if colour else 0.0,
-        rounding=_FLOAT32_ROUNDING * expansion.growth(argument), aliasing=0.0,
+        rounding=float(np.finfo(np.float32).eps) / 2.0 * expansion.growth(argument), aliasing=0.0,
         scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope), multiply_adds=0.0,
         is_measured=False, validation_size=0, table_multiply_adds=0.0,
     )  # fmt: skip

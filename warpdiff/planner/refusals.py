@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
+from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
 from warpdiff.planner import bounds
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of coefficients that a direction adds up. Limit: a wider neighbourhood is a mistake in the units, or a
-# patch much larger than its window.
+# Largest number of coefficients to keep at hand for a direction. Limit: a wider neighbourhood is a mistake in the
+# units, or a patch much larger than its window.
 _MOST_NEIGHBOURS = 40_000
 # Side of the patch that a refusal recommends, in σ of its window. Derived: the averaged window's weight of products
 # exp(−r²/4σ²) is 1e-11 at half of it.
@@ -127,10 +128,11 @@ def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """The refusal of an explicit table that exceeds the largest size."""
+    """The refusal of an explicit table of which even the smallest size is too large."""
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
-        f"{ref('tolerance', tolerance)}: use {ref('method', 'auto')}, or a larger {ref('tolerance')}"
+        f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
+        f"{ref('angular_diameter_deg', 0)}; or a smaller {ref('sigma_um')}, or a larger {ref('tolerance')}"
     )
 
 
@@ -166,15 +168,24 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 
 def warn_outside(plan: Plan, heightfield: HeightField, direction_range: DirectionRange) -> None:
     """Warn where a call with an explicit plan goes beyond the range that the plan is valid for."""
+    shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
+    numbers = [
+        ("|(u, v)| up to", direction_range.max_uv, plan.max_uv, 1.0),
+        ("|w| up to", direction_range.max_w, plan.max_w, 1.0),
+        ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, shortest, 1.0),
+        ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
+    ]
+    if plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
+        # For windows it is |(u, v)|.
+        numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
+    if plan.method not in EXPANSIONS and direction_range.max_w > 0.0:
+        # A basis is fitted to the products of |w| and 1/λ.
+        numbers.append(("|w| down to", direction_range.min_w, plan.min_w, -1.0))
+        numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
-        for name, value, planned in (
-            ("|(u, v)| up to", direction_range.max_uv, plan.max_uv),
-            ("|w| up to", direction_range.max_w, plan.max_w),
-            ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, NM_PER_UM / plan.lambda_min_nm),
-            ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um),
-        )
-        if value - planned > _RANGE_MARGIN * max(planned, _RANGE_MARGIN)
+        for name, value, planned, sign in numbers
+        if sign * (value - planned) > _RANGE_MARGIN * max(planned, _RANGE_MARGIN)
     ]
     if beyond and plan.method != "direct":
         warn(

@@ -22,7 +22,14 @@ from warpdiff.heightfield import diagnostics
 from warpdiff.kernels import refinement_levels
 from warpdiff.optics import reflectance_factors
 from warpdiff.planner import bounds, coordinate_search, cost_model, refusals, table_ladder, trial
-from warpdiff.request.directions import DirectionRange, DirectionSample, hemisphere_pairs, order_rate, stratified
+from warpdiff.request.directions import (
+    MOST_SAMPLED,
+    DirectionRange,
+    DirectionSample,
+    hemisphere_pairs,
+    order_rate,
+    stratified,
+)
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
 from warpdiff.request.settings import PlanSettings
@@ -45,8 +52,6 @@ _SEARCH_DIRECTIONS = 16_000
 # Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
 # with another light or view.
 _EXPECTED_REPEATS = 3
-# Number of directions that represent the whole hemisphere. Limit: a sample has no more.
-_HEMISPHERE_DIRECTIONS = 8192
 
 
 @accepts(PlanSettings)
@@ -84,7 +89,7 @@ def directions_of(
     A plan for directions that are not yet known is made for many.
     """
     heightfield, coherence = request.heightfield, request.coherence
-    hemisphere_lights, hemisphere_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, seed=0)
+    hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
     if to_light is not None and to_view is not None:
         lights, views, _ = validation.light_and_view(to_light, to_view)
     else:
@@ -109,9 +114,9 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
     """As many of some directions as represent the hemisphere, repeated where they are fewer."""
     checked, _ = validation.directions(directions, name)
     if not len(checked):
-        return np.zeros((_HEMISPHERE_DIRECTIONS, checked.shape[1]))
-    some = checked[stratified(len(checked), _HEMISPHERE_DIRECTIONS)]
-    return np.asarray(some[np.arange(_HEMISPHERE_DIRECTIONS) % len(some)])
+        return np.zeros((MOST_SAMPLED, checked.shape[1]))
+    some = checked[stratified(len(checked), MOST_SAMPLED)]
+    return np.asarray(some[np.arange(MOST_SAMPLED) % len(some)])
 
 
 def _any_direction(
@@ -151,8 +156,9 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
         result = _measured(request, direction_range, sample, upper, affordable)
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # The series that all bases are made from and judged by ends too soon.
-        result = replace(result, terms=upper.terms, truncation=max(result.truncation, upper.truncation))
+        # The series that all bases are made from and judged by ends too soon. Its remainder is that of an amplitude.
+        truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
+        result = replace(result, truncation=truncation)
     refusals.check_error(heightfield, result, strict=request.strict)
     return replace(result, footprint=request.footprint)
 

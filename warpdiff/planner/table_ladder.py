@@ -55,7 +55,11 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         )
         table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
-            break
+            if not needed or best is not None or size == 0:
+                break
+            # A call that needs a table has the largest that fits into memory.
+            size -= 1
+            continue
         if best is None:
             trial.update_floors(candidate)
         error = trial.validation_error(candidate)
