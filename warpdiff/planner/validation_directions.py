@@ -150,11 +150,11 @@ def _order_light(
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # Orders of a replicated patch are as far apart as its coefficients.
+    # The patch of replicas has no window: 1 µm² stands for its falloff.
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # A centred window's falloff is that of amplitudes.
-        per_amplitude = 1.0 if plan.coherence.adds_powers else 2.0
-        falloff_um2 = per_amplitude * coefficient_table.falloff_um2(plan.coherence, 0.5)
+        # A centred window's is that of amplitudes: with that of powers, valleys between orders are no edge cases, where
+        # tables have their largest errors.
+        falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])
