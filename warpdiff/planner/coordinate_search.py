@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Number of repairs of a plan that fails on the validation set: each tries all coordinates. Limit: a search has fewer
-# than fifty trials.
+# Number of repairs of a plan that fails on the validation set; each tries all coordinates, with twice the steps of the
+# one before. Limit: a search has fewer than fifty trials.
 _REPAIRS = 3
 # Number of octaves by which a search coarsens a bandwidth. Limit: bounds exceed what one surface requires by less.
 _OCTAVES = 3
@@ -50,14 +50,12 @@ class Coordinate:
         budget: Error that a plan may have once this coordinate is set.
         most: Largest number of steps.
         coarser: Makes a plan coarser by a number of steps; finer if it is negative.
-        repair: Number of steps of a repair.
     """
 
     source: str
     budget: float
     most: int
     coarser: Callable[[Plan, int], Plan]
-    repair: int
 
 
 def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
@@ -87,7 +85,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
         quadrature=share * errors["quadrature"], rounding=share * errors["rounding"], is_measured=True,
-        multiply_adds=cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates),
+        multiply_adds=_cost(plan, trial),
         validation_size=len(trial.validation_set),
     )  # fmt: skip
 
@@ -103,23 +101,33 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
     """Refine a plan until its validation error is within the target; return it with this error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
-    for _ in range(_REPAIRS):
+    for repair in range(_REPAIRS):
         if error <= target:
             break
-        least, best = error, plan
+        steps = 1 << repair
+        tried = [(error, plan)]
         for coordinate in coordinates:
-            finer = coordinate.coarser(plan, -coordinate.repair)
-            if finer != plan and (finer_error := trial.validation_error(finer)) < least:
-                least, best = finer_error, finer
+            finer = coordinate.coarser(plan, -steps)
+            if finer != plan:
+                tried.append((trial.validation_error(finer), finer))
+        if sufficient := [entry for entry in tried if entry[0] <= target]:
+            least, best = min(sufficient, key=lambda entry: _cost(entry[1], trial))
+        else:
+            least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
             # No coordinate helps alone, but all of them may.
             for coordinate in coordinates:
-                best = coordinate.coarser(best, -coordinate.repair)
+                best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
             if least >= error:
                 break
         plan, error = best, least
     return plan, error
+
+
+def _cost(plan: Plan, trial: Trial) -> float:
+    """Predicted multiply-adds per direction."""
+    return cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates)
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
@@ -151,21 +159,21 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     by_mirror, bright = (1.0 if count >= MIN_BRIGHT else _SHARE_BY_FEW for count in trial.bright)
     registers = math.ceil(plan.terms / LANES)
     octave_steps = _OCTAVES * SETS_PER_OCTAVE
-    steps: list[tuple[str, float, int, Callable[[Plan, int], Plan], int]] = [
-        ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps), 1)
+    steps: list[tuple[str, float, int, Callable[[Plan, int], Plan]]] = [
+        ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
         # The training set may miss the few directions that show the tail of a bright order and little else.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
-        steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours, 2))
+        steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
-        steps.append(("quadrature", bright, octave_steps, subdivisions, 2))
+        steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
         # All parts of the bandwidth come first: a part alone would use up the budget where another one suffices.
-        steps += [("quadrature", bright, octave_steps, part, 2) for part in (bandwidth, order_rate, rest)]
+        steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
-        Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser, repair)
-        for number, (source, share, most, coarser, repair) in enumerate(steps, 1)
+        Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
+        for number, (source, share, most, coarser) in enumerate(steps, 1)
     ]
 
 
