@@ -178,9 +178,8 @@ def warn_outside(plan: Plan, heightfield: HeightField, direction_range: Directio
     if plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
         # For windows it is |(u, v)|.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
-    if plan.method not in EXPANSIONS and direction_range.max_w > 0.0:
-        # A basis is fitted to the products of |w| and 1/λ.
-        numbers.append(("|w| down to", direction_range.min_w, plan.min_w, -1.0))
+    if plan.method not in EXPANSIONS:
+        # A basis is fitted to the wavelengths. Renderers give 0 for the least |w|, which is no reason to warn.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
