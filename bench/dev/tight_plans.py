@@ -4,7 +4,8 @@ A configuration is a surface, a kind of coherence, a tolerance and a call of 40,
 are evaluated. Its automatic plan is compared with all settings of a grid: every method, terms in whole registers,
 neighbours in steps of 0.5 of the exponent of their least weight, wavelength sets and shares of the bandwidth in quarter
 octaves, the same number of wavelengths for all directions, and for periods subdivisions in quarter octaves. A setting
-counts if it meets the tolerance against the float64 reference on these 128 directions, without a safety factor. The
+counts if it meets the tolerance against the float64 reference on these 128 directions, without a safety factor; errors
+are relative to the brightness of the whole call. The
 settings with the lowest predicted cost, in total and per method, are timed; the fastest is the cheapest setting. The
 result of a direction depends on its own wavelength set only, so each set is computed once, and plans are combined from
 them.
@@ -138,7 +139,9 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 class Call:
     """Directions of one call, their exact colours, and the results of plans."""
 
-    def __init__(self, case: Configuration, lights: np.ndarray, views: np.ndarray, *, threads: int | None) -> None:
+    def __init__(
+        self, case: Configuration, lights: np.ndarray, views: np.ndarray, luminance: float, *, threads: int | None
+    ) -> None:
         self.case, self.device, self.threads = case, resolve_device(None), resolve_threads(threads)
         coherence = case.coherence
         self.scattering_vectors, self.lights = -lights - views, lights
@@ -155,7 +158,8 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        floor = FLOOR * reference_luminance(exact[:, 1])
+        # A tolerance is relative to the brightness of all planned directions, of which these few say little.
+        floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
         self._arrays: dict[int, Any] = {}
@@ -377,8 +381,12 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
             )  # fmt: skip
         except ValueError as error:
             return f"| {case} | refused: {error} |", None
+        xyz = wd.reflectance(
+            case.heightfield, case.lights, case.views, plan=automatic, coherence=case.coherence, threads=threads
+        )
+        luminance = reference_luminance(xyz[:, 1].astype(np.float64))
         call, fresh = (
-            Call(case, case.lights[part], case.views[part], threads=threads)
+            Call(case, case.lights[part], case.views[part], luminance, threads=threads)
             for part in (slice(0, DIRECTIONS), slice(DIRECTIONS, 2 * DIRECTIONS))
         )
         error, error_fresh = call.error(automatic), fresh.error(automatic)

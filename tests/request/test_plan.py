@@ -107,7 +107,7 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
-    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
+    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence)
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
     assert plan.is_measured
     assert not few.is_measured
@@ -294,6 +294,14 @@ def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_th
     assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
 
 
+@pytest.mark.filterwarnings("ignore:scalar diffraction")
+def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
+    """The largest number of terms leaves 3e-3 of an amplitude, which weak orders show a thousand times larger."""
+    with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
+        wd.plan(deep(6.9), UP, UP)
+    wd.plan(deep(6.2), UP, UP)
+
+
 def test_the_automatic_series_serves_what_taylor_cannot(rng):
     heightfield = deep(3.0)
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
@@ -328,6 +336,27 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
         warnings.simplefilter("error")
         wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
         wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=whole)
+
+
+@pytest.mark.parametrize(
+    "coherence", [wd.Coherence("source", angular_diameter_deg=2.0), wd.Coherence("replicas", periods=(4, 4))], ids=str
+)
+def test_a_plan_is_warned_of_beyond_its_order_rate(coherence):
+    fine = wd.gratings.fingers(size_um=3.2, pitch_um=0.1, seed=1)
+    narrow = wd.plan(fine, UP, at_angle(5.0), coherence=coherence)
+    with pytest.warns(wd.WarpdiffWarning, match="order rate up to"):
+        wd.reflectance(fine, UP, at_angle(40.0), plan=narrow)
+
+
+def test_a_fitted_basis_is_warned_of_below_its_range(rough):
+    steep = wd.plan(rough, UP, at_angle(5.0), method="low-rank")
+    blue = dataclasses.replace(steep, lambda_max_nm=500.0)
+    with pytest.warns(wd.WarpdiffWarning, match=r"1/λ \[1/µm\] down to 1.28, planned 2"):
+        wd.reflectance(rough, UP, at_angle(5.0), plan=blue)
+    series = dataclasses.replace(blue, method="jacobi-anger")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wd.reflectance(rough, UP, at_angle(5.0), plan=series)
 
 
 def test_windows_too_long_for_a_colour_are_refused(rough):

@@ -15,7 +15,7 @@ import numpy as np
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
-from warpdiff.planner import cost_model
+from warpdiff.planner import cost_model, trial
 from warpdiff.request.plan import AUTOMATIC, Plan
 from warpdiff.tables import coefficient_table
 
@@ -33,39 +33,31 @@ AMPLITUDE_MARGIN = 1e-3
 # has power 1, a call that does not show it may be darker by 1e-5 and has a floor of 1e-3 of that; amplitudes require
 # the square root of the ratio, here with a margin of 100. Twice the share adds its tail to the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# The same for plans that no trial has seen. Derived: a call may be as dark as DARK = 1e-10, with neighbours' share of
-# 1e-2.
-_DARKEST = 1e-12
-# Truncation error of a fitted basis relative to a coefficient's largest value over κ, as a share of the tolerance.
-# Derived: a coefficient is a tenth of its largest value, and its power a hundredth, near the low end of κ.
-BASIS_SHARE = 1e-2
+# The same for plans that no trial has seen. Derived: a call may be as dark as DARK.
+_DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Samples per unit of 1/λ [µm] for the colour curves and the illuminant. Fitted: D65, FL11 and HP1 from 1e-1 to 1e-4
 # (docs/decisions/plans_and_tolerance.md). Half of it exceeds the quadrature share under lines of an illuminant.
 _COLOUR_BANDWIDTH_UM = 48.0
-# Samples per standard deviation of the Gaussian of 1/λ as which an order passes, at a tolerance of 1e-2. Fitted: the
-# same illuminants, Gaussians of 1/18 to 1/222 per µm. The error grows as the sixth power of the sample distance.
-_SAMPLES_PER_DEVIATION = 0.95
-# Samples per cycle of the interference of two levels of a tall surface in the mirror direction, at a tolerance of 1e-2,
-# in addition to those for the colours. Fitted: two levels 3 and 5.5 µm high under HP2 and FL12.
-_SAMPLES_PER_CYCLE = 6.0
+# Samples per standard deviation of the Gaussian of 1/λ as which an order passes, at a tolerance of 1. Fitted: the same
+# illuminants, Gaussians of 1/18 to 1/222 per µm, 0.95 at a tolerance of 1e-2.
+_SAMPLES_PER_DEVIATION = 0.441
+# Samples per cycle of the interference of two levels of a tall surface in the mirror direction, at a tolerance of 1, in
+# addition to those for the colours. Fitted: two levels 3 and 5.5 µm high under HP2 and FL12, 6 at 1e-2.
+_SAMPLES_PER_CYCLE = 2.785
 # Order of the error in the sample distance. Derived: quintics through six samples for windows and sources, cubics
 # through four for the power of a replicated patch.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
-# Tolerance [1] at which the samples above were fitted.
-_FITTED_TOLERANCE = 1e-2
-# Typical errors of plans from bounds, as shares of the tolerance: of the integral over λ (fitted with the samples
-# above, 99th percentile), and of the excluded neighbours of a zeroth order a thousand times as bright as the call.
-_QUADRATURE_SHARE, _NEIGHBOUR_SHARE = 0.08, 0.01
-# Samples of a replicated patch's power per order that passes, at a tolerance of 1e-2. Fitted: random patches of fingers
-# under D65 to HP1. Half of it errs by 16 times as much.
-_SAMPLES_PER_ORDER = 24.0
-# Samples of the periods' factor per lobe. Derived: Nyquist's rate of a squared sine ratio.
-_SAMPLES_PER_LOBE = 2.0
+# Typical error of a plan from bounds, of the integral over λ and of the neighbours each, as a share of the tolerance.
+# Fitted: 99th percentile of the errors with the samples above. It is reported only.
+_TYPICAL_SHARE = 0.05
+# Samples of a replicated patch's power per order that passes, at a tolerance of 1. Fitted: random patches of fingers
+# under D65 to HP1, 25 at 1e-2. Half of it has 16 times the error.
+_SAMPLES_PER_ORDER = 8.0
+# Largest number of wavelengths of a colour. Limit: seconds per direction.
+MOST_WAVELENGTHS = 65_536
 # Largest number of wavelengths for a source at the horizon. Limit: a source is foreshortened without end there; 16,384
 # wavelengths suffice for a foreshortening of fifty.
 _MOST_GRAZING = 16_384
-# Rounding error of a float32 number, relative. Derived: half a unit in the last place of 24 bits.
-_FLOAT32_ROUNDING = 2.0**-24
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
@@ -79,15 +71,15 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     plan = Plan(
         method="direct" if method == "direct" else series, coherence=coherence, tolerance=tolerance, terms=terms,
         least_weight=tolerance * _WEIGHT_MARGINS[coherence.adds_powers], wavelengths=0, subdivisions=1,
-        bandwidth_um=_bandwidth_um(heightfield, coherence, tolerance), adaptive=True, rings_per_octave=0,
+        bandwidth_um=bandwidth_um(heightfield, coherence, tolerance), adaptive=True, rings_per_octave=0,
         azimuths_per_width=0.0, w_basis_size=0, footprint=False, energy_spread=0.0,
         max_uv=direction_range.max_uv, max_order_rate=direction_range.max_order_rate, min_w=direction_range.min_w,
         max_w=direction_range.max_w, lambda_min_nm=direction_range.lambda_min_nm,
         lambda_max_nm=direction_range.lambda_max_nm, height_range_um=heightfield.height_range_um,
         truncation=expansion.remainder(argument, terms),
-        neighbourhood=0.0 if coherence.kind == "replicas" else _NEIGHBOUR_SHARE * tolerance,
-        quadrature=_QUADRATURE_SHARE * tolerance if colour else 0.0,
-        rounding=_FLOAT32_ROUNDING * expansion.growth(argument), aliasing=0.0,
+        neighbourhood=0.0 if coherence.kind == "replicas" else _TYPICAL_SHARE * tolerance,
+        quadrature=_TYPICAL_SHARE * tolerance if colour else 0.0,
+        rounding=float(np.finfo(np.float32).eps) / 2.0 * expansion.growth(argument), aliasing=0.0,
         scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope), multiply_adds=0.0,
         is_measured=False, validation_size=0, table_multiply_adds=0.0,
     )  # fmt: skip
@@ -104,7 +96,7 @@ def with_neighbours_of_darkness(plan: Plan) -> Plan:
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
-def _bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
+def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
     Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their
@@ -112,18 +104,17 @@ def _bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: flo
     """
     if coherence.kind == "replicas":
         # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
-        cubic = (_FITTED_TOLERANCE / tolerance) ** (1.0 / _CUBIC_ORDER)
-        per_order = _SAMPLES_PER_ORDER * cubic
-        return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM * cubic
-    quintic = (_FITTED_TOLERANCE / tolerance) ** (1.0 / _QUINTIC_ORDER)
+        per_order = _SAMPLES_PER_ORDER * tolerance ** (-1.0 / _CUBIC_ORDER)
+        return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
+    quintic = tolerance ** (-1.0 / _QUINTIC_ORDER)
     per_deviation, cycles = quintic * _SAMPLES_PER_DEVIATION, quintic * _SAMPLES_PER_CYCLE
     if coherence.sigma_um is not None:
-        order_rate = per_deviation * math.sqrt(8.0) * math.pi * coherence.sigma_um
+        order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return order_rate, cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
-    wider = log_band * 1e3 / LAMBDA_MIN_NM / cost_model.SPAN
+    wider = log_band * cost_model.NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
     return order_rate, wider * cycles * heightfield.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
@@ -134,7 +125,8 @@ def _with_wavelengths(plan: Plan) -> Plan:
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        divisions = math.ceil(_SAMPLES_PER_LOBE * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
+        # The squared sine ratio of the periods has two samples per lobe.
+        divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:
         count = coefficient_table.wavelength_set_size(_MOST_GRAZING)

@@ -1,6 +1,8 @@
 """Cost model: multiply-adds of sampled wavelengths, of look-ups and of making a table.
 
-What else they cost is counted in as many multiply-adds. ``Plan`` turns these into seconds.
+Other work is counted in as many multiply-adds as take the same time. ``Plan`` turns these into seconds. The numbers
+were fitted to times on two cores, of which the model explains all but a factor of 1.5. Twice one of them moves the
+choice between plans by less than that.
 """
 
 from __future__ import annotations
@@ -21,83 +23,81 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.request.plan import Plan
 
-# Of 1/λ [1/µm].
-SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-# What a wavelength costs besides its multiply-adds, in as many of them: by itself, for each term of the basis, for each
-# neighbour, and for the copies' factor. Fitted to times on two cores, of which they explain all but a factor of 1.5.
-_COST_OF_WAVELENGTH, _COST_OF_TERM, _COST_OF_NEIGHBOUR, _COST_OF_INTERFERENCE = 340.0, 16.0, 20.0, 280.0
-# Azimuths and nodes that a line shows on.
-_AZIMUTHS_OF_LINE, _RINGS_OF_LINE = 7.0, 3.0
-# What a sample of the spectrum costs besides its multiply-adds, in as many of them: by itself, for powers or for either
-# part of amplitudes, and for each neighbour; what a line costs; what a number of a row that is filtered and written.
-_COST_OF_SAMPLE, _COST_OF_SAMPLES_NEIGHBOUR, _COST_OF_LINE, _COST_OF_NUMBER = 150.0, 4.0, 20.0, 35.0
-# Multiply-adds of a projection, which are made of SIMD alone, in those of all other kernels.
-_COST_OF_DENSE_MULTIPLY_ADD = 0.2
+# Nanometres per micrometre [nm/µm]. Derived: units.
+NM_PER_UM = 1e3
+# Length of the visible band in 1/λ [1/µm].
+SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
+# Cost of a wavelength in addition to its sums, of a sample of the periods' factor, and of a term of the basis or of a
+# neighbour in addition to its products [multiply-adds]. Fitted.
+_COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
+# Cost of a sample of a table's spectrum, or of a line of a source's, in addition to its products [multiply-adds].
+# Fitted.
+_COST_OF_SAMPLE = 150.0
+# Nodes of a table that a line of a source is added to. Derived: 7 azimuths and 3 rings, on both sides of each.
+_NODES_OF_LINE = 42.0
+# Cost of a colour of a row that is filtered and written, of a multiply-add of the projection, which consists of SIMD
+# products alone, and of a function of w in a look-up [multiply-adds]. Fitted; the last is derived: three channels of
+# three by three nodes.
+_COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD, _COST_OF_LOOK_UP = 105.0, 0.2, 27.0
 
 
 def wavelength_count(plan: Plan, order_rate: float, w: float) -> float:
-    """How many wavelengths a direction takes."""
-    per_lateral, per_w, constant = plan.bandwidth_um
-    return SPAN * (per_lateral * order_rate + per_w * w + constant) + 1.0
+    """How many wavelengths a direction requires."""
+    per_rate, per_w, constant = plan.bandwidth_um
+    return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
 
 def sampling_multiply_adds(
     heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:  # fmt: skip
-    """Predicted multiply-adds of a direction, in the mean over directions of some lateral and |w|."""
+    """Predicted multiply-adds per direction, the mean over directions of some order rate and |w|."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        needed = [
-            wavelength_count(plan, float(order_rate), float(w_size))
-            for order_rate, w_size in zip(order_rates, w, strict=True)
-        ]
-        samples = np.minimum(samples, np.asarray(needed) * 2.0 ** (0.5 / 4.0))
+        per_rate, per_w, constant = plan.bandwidth_um
+        needed = SPAN * (per_rate * order_rates + per_w * w + constant) + 1.0
+        # Sets of wavelengths are larger than needed by half of their ratio.
+        samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
+    factors = 1
     if plan.coherence.kind == "replicas":
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
+        factors += plan.subdivisions
     else:
+        # At a wavelength of half a micrometre, for a source.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
-        widths = [
+        neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0
             for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
-        ]
-        neighbours = math.prod(widths)
+        )
     per_sample = (
-        _COST_OF_WAVELENGTH
-        + _COST_OF_TERM * lanes * min(1.0, neighbours)
-        + neighbours * (_COST_OF_NEIGHBOUR + parts * lanes)
+        _COST_OF_WAVELENGTH * factors
+        + _COST_OF_STEP * (lanes * min(1.0, neighbours) + neighbours)
+        + neighbours * parts * lanes
     )
-    if plan.coherence.kind == "replicas":
-        per_sample += _COST_OF_INTERFERENCE * plan.subdivisions
     return float(np.average(samples, weights=weights) * per_sample)
 
 
 def look_up_multiply_adds(plan: Plan) -> float:
-    """The multiply-adds of a look-up."""
-    return 9.0 * 3.0 * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
+    """Predicted multiply-adds of a look-up."""
+    return _COST_OF_LOOK_UP * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
 
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
-    """The cost of making a table, in the multiply-adds of ``Plan``."""
+    """Predicted multiply-adds of making a table."""
     layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
+    area = math.prod(heightfield.size_um)
     if plan.coherence.kind == "source":
-        lines = 2.0 * math.pi * layout.highest**2 * math.prod(heightfield.size_um)
-        sampling = lines * _AZIMUTHS_OF_LINE * (_COST_OF_LINE + 2.0 * _RINGS_OF_LINE * lanes)
+        lines = 2.0 * math.pi * layout.highest**2 * area
+        sampling = lines * (_COST_OF_SAMPLE + _NODES_OF_LINE * lanes)
     else:
-        neighbours = (
-            math.pi
-            * -math.log(plan.least_weight)
-            / coefficient_table.falloff_um2(plan.coherence)
-            * math.prod(heightfield.size_um)
-        )
-        sampling = layout.samples * (
-            parts * _COST_OF_SAMPLE + neighbours * (_COST_OF_SAMPLES_NEIGHBOUR + parts * lanes)
-        )
+        neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
+        sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
     # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
     powers = parts * plan.terms
-    projection = layout.levels[0].nodes * polar_grid.ring_count(plan.rings_per_octave) * powers * (powers + 3.0)
-    return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_NUMBER * layout.rows * 3.0 * powers
+    rings = polar_grid.ring_count(plan.rings_per_octave)
+    projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)
+    return sampling + _COST_OF_DENSE_MULTIPLY_ADD * projection + _COST_OF_ROW_COLOUR * layout.rows * powers

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
+from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
-from warpdiff.planner.plan_search import SEARCH_SAFETY
+from warpdiff.planner import bounds
+from warpdiff.planner.cost_model import NM_PER_UM
+from warpdiff.planner.trial import SEARCH_SAFETY
 from warpdiff.request.plan import LABELS
 from warpdiff.tables import coefficient_table, polar_grid
 
@@ -20,15 +23,14 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of coefficients that a direction adds up. Limit: a wider neighbourhood is a mistake in the units, or a
-# patch much larger than its window.
+# Largest number of coefficients to keep at hand for a direction. Limit: a wider neighbourhood is a mistake in the
+# units, or a patch much larger than its window.
 _MOST_NEIGHBOURS = 40_000
 # Side of the patch that a refusal recommends, in σ of its window. Derived: the averaged window's weight of products
 # exp(−r²/4σ²) is 1e-11 at half of it.
 _PATCH_IN_SIGMAS = 20.0
-# Largest numbers of wavelengths of a colour, and of these times the subdivisions for replicas. Limits: seconds per
-# direction, and the memory of a quadrature.
-_MOST_WAVELENGTHS, _MOST_SAMPLES = 65_536, 2_000_000
+# Largest number of wavelengths times subdivisions for replicas. Limit: the memory of a quadrature.
+_MOST_SAMPLES = 2_000_000
 # Excess of a call's range over its plan's, relative, that is no reason to warn. Limit: ranges of coefficients are
 # rounded up by more.
 _RANGE_MARGIN = 0.03
@@ -52,7 +54,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
     """Refuse a plan from bounds with more neighbours or wavelengths than are supported."""
     if plan.method != "direct" and plan.coherence.kind != "replicas":
         _check_neighbours(heightfield, plan)
-    if plan.wavelengths > _MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
+    if plan.wavelengths > bounds.MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
         coherence = plan.coherence
         what = {
             "source": ref("angular_diameter_deg", coherence.angular_diameter_deg),
@@ -61,9 +63,9 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
         }.get(coherence.kind, ref("sigma_um", coherence.sigma_um))
         raise ToleranceError(
             f"{what} and a height range of {heightfield.height_range_um:.3g} µm make spectra so fine that a colour "
-            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {_MOST_WAVELENGTHS} are supported, "
-            f"{_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger {ref('tolerance')}, or "
-            "warpdiff.spectral_reflectance"
+            f"requires {plan.wavelengths * plan.subdivisions} wavelengths; at most {bounds.MOST_WAVELENGTHS} are "
+            f"supported, {_MOST_SAMPLES} for replicas: use {_LESS_COHERENT[coherence.kind]}, a larger "
+            f"{ref('tolerance')}, or warpdiff.spectral_reflectance"
         )
 
 
@@ -88,7 +90,7 @@ def _longest_sigma_um(coherence: Coherence) -> float:
     """σ of a window [µm], of a source's at the longest wavelength."""
     if coherence.sigma_um is not None:
         return coherence.sigma_um
-    return LAMBDA_MAX_NM * 1e-3 / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
+    return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
 def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
@@ -126,10 +128,11 @@ def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """The refusal of an explicit table that exceeds the largest size."""
+    """The refusal of an explicit table of which even the smallest size is too large."""
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
-        f"{ref('tolerance', tolerance)}: use {ref('method', 'auto')}, or a larger {ref('tolerance')}"
+        f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
+        f"{ref('angular_diameter_deg', 0)}; or a smaller {ref('sigma_um')}, or a larger {ref('tolerance')}"
     )
 
 
@@ -154,8 +157,8 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
         return
     is_between = plan.coherence.centre_um is not None and plan.method != "direct"
     radius = coefficient_table.radius(plan) if is_between else 0.0
-    supported = max(0.0, direction_range.lambda_min_nm * 1e-3 * (1.0 / (2.0 * pitch_um) - radius))
-    if direction_range.max_uv > supported * (1.0 + 1e-9):
+    supported = max(0.0, direction_range.lambda_min_nm / NM_PER_UM * (1.0 / (2.0 * pitch_um) - radius))
+    if direction_range.max_uv > supported and not math.isclose(direction_range.max_uv, supported):
         warn(
             f"a pitch of {pitch_um:.3g} µm supports |(u, v)| up to {supported:.3g} at "
             f"{direction_range.lambda_min_nm:g} nm, but directions reach {direction_range.max_uv:.3g}: higher orders "
@@ -165,15 +168,23 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 
 def warn_outside(plan: Plan, heightfield: HeightField, direction_range: DirectionRange) -> None:
     """Warn where a call with an explicit plan goes beyond the range that the plan is valid for."""
+    shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
+    numbers = [
+        ("|(u, v)| up to", direction_range.max_uv, plan.max_uv, 1.0),
+        ("|w| up to", direction_range.max_w, plan.max_w, 1.0),
+        ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, shortest, 1.0),
+        ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
+    ]
+    if plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
+        # For windows it is |(u, v)|.
+        numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
+    if plan.method not in EXPANSIONS:
+        # A basis is fitted to the wavelengths. Renderers give 0 for the least |w|, which is no reason to warn.
+        numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
-        for name, value, planned in (
-            ("|(u, v)| up to", direction_range.max_uv, plan.max_uv),
-            ("|w| up to", direction_range.max_w, plan.max_w),
-            ("1/λ [1/µm] up to", 1e3 / direction_range.lambda_min_nm, 1e3 / plan.lambda_min_nm),
-            ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um),
-        )
-        if value > planned * (1.0 + _RANGE_MARGIN) + 1e-9
+        for name, value, planned, sign in numbers
+        if sign * (value - planned) > _RANGE_MARGIN * max(planned, _RANGE_MARGIN)
     ]
     if beyond and plan.method != "direct":
         warn(

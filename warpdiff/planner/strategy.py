@@ -21,8 +21,15 @@ from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
 from warpdiff.heightfield import diagnostics
 from warpdiff.kernels import refinement_levels
 from warpdiff.optics import reflectance_factors
-from warpdiff.planner import bounds, cost_model, plan_search, refusals, trial
-from warpdiff.request.directions import DirectionRange, DirectionSample, hemisphere_pairs, order_rate, stratified
+from warpdiff.planner import bounds, coordinate_search, cost_model, refusals, table_ladder, trial
+from warpdiff.request.directions import (
+    MOST_SAMPLED,
+    DirectionRange,
+    DirectionSample,
+    hemisphere_pairs,
+    order_rate,
+    stratified,
+)
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
 from warpdiff.request.settings import PlanSettings
@@ -37,22 +44,14 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Cost of bounds over the cost of the plan that a search finds. Fitted: see docs/decisions/plans_and_tolerance.md.
-_SEARCH_SAVES_FACTOR = 5.0
+# Cost of bounds over the cost of the plan that a search finds, by kind of coherence. Fitted: medians of 32 random calls
+# (docs/decisions/plans_and_tolerance.md).
+_SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
+# Number of directions that a plan from a search computes in the time of the search. Fitted: the same calls.
+_SEARCH_DIRECTIONS = 16_000
 # Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
 # with another light or view.
-_EXPECTED_REPEATS = 3.0
-# Least number of directions that are searched for, and of replicas, for which a search saves the most. Fitted: from
-# there on a search is faster than the bounds.
-FEWEST_SEARCHED, _FEWEST_OF_COPIES = 32_768, 4096
-# The same for an explicit method that adds powers in float32, whose rounding only a trial finds.
-_FEWEST_TRIED = 16
-# Number of directions whose mean cost is reported where none are tried. Limit: it is a report.
-_DIRECTIONS_FOR_COST = 64
-# Number of directions that represent the whole hemisphere, and their seed. Limit: as many as a sample has at most.
-_HEMISPHERE_DIRECTIONS, _SEED = 8192, 0
-# Tolerance of a plan that only finds the bright directions. Limit: the largest.
-_COARSE_TOLERANCE = 0.5
+_EXPECTED_REPEATS = 3
 
 
 @accepts(PlanSettings)
@@ -90,7 +89,7 @@ def directions_of(
     A plan for directions that are not yet known is made for many.
     """
     heightfield, coherence = request.heightfield, request.coherence
-    hemisphere_lights, hemisphere_views = hemisphere_pairs(_HEMISPHERE_DIRECTIONS, _SEED)
+    hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
     if to_light is not None and to_view is not None:
         lights, views, _ = validation.light_and_view(to_light, to_view)
     else:
@@ -115,9 +114,9 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
     """As many of some directions as represent the hemisphere, repeated where they are fewer."""
     checked, _ = validation.directions(directions, name)
     if not len(checked):
-        return np.zeros((_HEMISPHERE_DIRECTIONS, 3))
-    some = checked[stratified(len(checked), _HEMISPHERE_DIRECTIONS)]
-    return np.asarray(some[np.arange(_HEMISPHERE_DIRECTIONS) % len(some)])
+        return np.zeros((MOST_SAMPLED, checked.shape[1]))
+    some = checked[stratified(len(checked), MOST_SAMPLED)]
+    return np.asarray(some[np.arange(MOST_SAMPLED) % len(some)])
 
 
 def _any_direction(
@@ -152,14 +151,14 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    affordable = _affordable_table_cost(request, upper, count)
+    result = _unmeasured(request, direction_range, sample, upper)
+    affordable = _affordable_table_cost(request, result, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
         result = _measured(request, direction_range, sample, upper, affordable)
-    else:
-        result = _unmeasured(request, direction_range, sample, upper)
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # The series that all bases are made from and judged by ends too soon.
-        result = replace(result, terms=upper.terms, truncation=max(result.truncation, upper.truncation))
+        # The series that all bases are made from and judged by ends too soon. Its remainder is that of an amplitude.
+        truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
+        result = replace(result, truncation=truncation)
     refusals.check_error(heightfield, result, strict=request.strict)
     return replace(result, footprint=request.footprint)
 
@@ -174,23 +173,25 @@ def _has_footprint_table(request: Evaluation) -> bool:
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
-def _affordable_table_cost(request: Evaluation, upper: Plan, count: float) -> float:
+def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> float:
     """Multiply-adds that making a table may cost: what it saves so many directions of a plan by bounds; 0 for no table.
 
     A table that is asked for, or that shows footprints, may cost any number.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
-    table_size = polar_grid.smallest_sufficient_size(upper)
+    table_size = polar_grid.smallest_sufficient_size(bounded)
     if (
         _method(request) != "auto"
         or not request.integrates
         or table_size is None
-        or not has_table(upper.method, upper.coherence)
+        or not has_table(AUTOMATIC, bounded.coherence)
     ):
         return 0.0
-    smallest = replace(upper, rings_per_octave=table_size[0], azimuths_per_width=table_size[1])
-    saved = _EXPECTED_REPEATS * count * upper.multiply_adds / _SEARCH_SAVES_FACTOR
+    rings, azimuths_per_width = table_size
+    smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)
+    directions = _EXPECTED_REPEATS * count - _SEARCH_DIRECTIONS
+    saved = directions * bounded.multiply_adds / _SAVINGS[bounded.coherence.kind]
     return saved if saved > cost_model.table_multiply_adds(request.heightfield, smallest) else 0.0
 
 
@@ -201,8 +202,8 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
         return True
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial finds.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
-        return count >= _FEWEST_TRIED
-    return count >= (_FEWEST_OF_COPIES if upper.coherence.kind == "replicas" else FEWEST_SEARCHED)
+        return True
+    return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
@@ -215,10 +216,8 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
     plan = _with_basis(bounds.with_neighbours_of_darkness(upper), request, direction_range)
     if not len(sample):
         return plan
-    places = stratified(len(sample), _DIRECTIONS_FOR_COST)
-    scattering_vectors, to_lights = sample.scattering_vectors[places], sample.to_lights[places]
-    rates = order_rate(request.heightfield, plan.coherence, scattering_vectors, to_lights)
-    cost = cost_model.sampling_multiply_adds(request.heightfield, plan, rates, np.abs(scattering_vectors[:, 2]))
+    rates = order_rate(request.heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
+    cost = cost_model.sampling_multiply_adds(request.heightfield, plan, rates, np.abs(sample.scattering_vectors[:, 2]))
     return replace(plan, multiply_adds=cost)
 
 
@@ -229,9 +228,9 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
             request.heightfield, plan.method, plan.coherence, direction_range,
             coefficient_table.neighbour_extent(plan, request.heightfield), terms=plan.terms, threads=request.threads,
         )  # fmt: skip
-        terms = basis.terms_within(bounds.BASIS_SHARE * plan.tolerance)
+        terms = basis.terms_within(trial.NEGLIGIBLE_SHARE * plan.tolerance)
         plan = replace(plan, terms=terms, truncation=float(basis.truncation_errors[terms]))
-    highest = direction_range.max_uv * 1e3 / direction_range.lambda_min_nm
+    highest = direction_range.max_uv * cost_model.NM_PER_UM / direction_range.lambda_min_nm
     return replace(plan, aliasing=diagnostics.folded_power(request.heightfield, highest))
 
 
@@ -249,20 +248,20 @@ def _measured(
         return plan
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
-        table = plan_search.search_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
+        table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
         # Points instead of means have a larger error than a table that meets the tolerance without any safety.
         if table is not None and (
-            explicit or table.error <= plan.tolerance * (plan_search.SEARCH_SAFETY if footprint else 1.0)
+            explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
             return table
         if explicit:
             raise refusals.table_too_large(plan.tolerance)
-    return plan_search.search_sampled(plan, measured, automatic=_method(request) == "auto")
+    return coordinate_search.search(plan, measured, automatic=_method(request) == "auto")
 
 
 def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """A plan that only finds the bright directions."""
-    coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=_COARSE_TOLERANCE)
+    """A plan that only finds the bright directions, for the largest tolerance."""
+    coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
     # Bounds are generous: half of their wavelengths suffice.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

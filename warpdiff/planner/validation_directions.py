@@ -1,19 +1,20 @@
 """Training and validation sets: samples of a call's directions, with edge cases.
 
-A uniform sample of a call misses what decides where little of it is bright. So geometry alone is looked at for
-thousands of directions; of these, a thousand are watched, uniform ones and all that are suspect (near the mirror
-direction, near strong orders, of the largest gain, at the ends of the call's ranges), with a coarse plan that tells how
-bright they are. Of the watched, a search's training set and its validation set are drawn, nearly half of them for being
-bright. Each direction weighs as much as the part of the call that it stands for.
+A uniform sample of a call misses what decides where little of it is bright. So the geometry of thousands of directions
+is examined. About a thousand of these are candidates: uniform ones, and all edge cases (near the mirror direction, near
+strong orders, of the largest gain, at the ends of the call's ranges). A coarse plan finds how bright candidates are. A
+search's training set and its validation set are drawn from them, nearly half of them for being bright. Each direction
+weighs as much as the part of the call that it represents.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.kernels.thresholds import TINY
+from warpdiff.planner.cost_model import NM_PER_UM
 from warpdiff.request.directions import order_rate, stratified
 from warpdiff.tables import coefficient_table
 
@@ -24,31 +25,31 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# Directions whose brightness is looked at, besides the suspects; those that a search tries plans on; those that judge
-# what it found.
-_CANDIDATES, _TRAINING, _VALIDATION = 1024, 128, 256
-# Suspects of each kind, and the orders that count as strong.
-_NEAR_MIRROR, _OF_LARGEST_GAIN, _AT_EACH_END = 32, 32, 12
-_STRONG_ORDERS, _NEAR_EACH_ORDER, _NEAR_ORDERS = 24, 4, 64
-# How often bright directions and suspects are drawn, where those that stand for the call are drawn once.
-_BRIGHT_SHARE, _EDGE_CASE_SHARE = 1.0, 0.25
-_SEED = 1
+# Number of candidates in addition to the edge cases, and number of training directions. Fitted: half as many miss the
+# tolerance in more than one call of a hundred; twice as many cost twice the planning time.
+_CANDIDATES, _TRAINING = 1024, 128
+# Number of edge cases of each kind, and of strong orders, each of which is a kind. Limit: all of them together are at
+# most a third of the candidates.
+_EDGE_CASES = 16
+# Share of the edge cases in a set, relative to the share of a uniform sample of the call; bright directions have the
+# same share as that sample. Limit: a fifth of a set remains for edge cases, however many they are.
+_EDGE_CASE_SHARE = 0.25
 
 
 def candidates(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
-    """The directions whose brightness is looked at, and which of them are suspects.
+    """The candidates, and which of them are edge cases.
 
     Args:
         heightfield: The height field.
-        direction_range: The call's.
+        direction_range: The range of the call.
         sample: Directions of the call.
-        plan: A coarse one, whose coefficients tell where strong orders are.
+        plan: A coarse plan, whose coefficients show where strong orders are.
         threads: Threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
-    if len(sample) > _TRAINING + _VALIDATION:
+    if len(sample) > _TRAINING + _validation_size():
         edge_cases = _edge_cases(heightfield, direction_range, sample, plan, threads=threads)
     others = np.setdiff1d(np.arange(len(sample)), edge_cases)
     uniform = others[stratified(len(others), _CANDIDATES)]
@@ -64,72 +65,75 @@ def sampled(
     """Select training set and validation set among the candidates; of few directions, all are validation directions.
 
     Args:
-        candidates: What is watched.
-        is_edge_case: Which of them are suspects, shape (n,).
-        luminance: How bright they are, about, shape (n,).
-        floor: How bright a direction is that counts as bright.
+        candidates: The candidates.
+        is_edge_case: Which of them are edge cases, shape (n,).
+        luminance: Approximate luminance of each, shape (n,).
+        floor: Least luminance of a bright direction.
     """
     weights = candidates.weights
     bright = np.where(luminance >= 0.5 * floor, weights, 0.0)
     measure = weights / weights.sum() + _EDGE_CASE_SHARE * is_edge_case / max(int(is_edge_case.sum()), 1)
-    measure = measure + _BRIGHT_SHARE * bright / max(float(bright.sum()), 1e-300)
-    # In their order by brightness, every third may be a training direction, for either to have its share of what few
-    # there are.
+    measure = measure + bright / max(float(bright.sum()), TINY)
     order = np.argsort(luminance, kind="stable")
     if len(order) <= _TRAINING:
         return candidates, candidates
-    if len(order) <= _TRAINING + _VALIDATION:
+    both = _TRAINING + _validation_size()
+    if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
-    thirds = np.arange(len(order)) % 3
-    training, validation = order[thirds == 0], order[thirds > 0]
-    return _draw(candidates, training, measure, _TRAINING, 3.0), _draw(
-        candidates, validation, measure, _VALIDATION, 1.5
+    # Both sets get their share of few bright directions: each run in the order of brightness is divided among them.
+    is_training = np.arange(len(order)) % (both // _TRAINING) == 0
+    training, validation = order[is_training], order[~is_training]
+    return (
+        _draw(candidates, training, measure, _TRAINING, len(order) / len(training)),
+        _draw(candidates, validation, measure, _validation_size(), len(order) / len(validation)),
     )
+
+
+def _validation_size() -> int:
+    """Number of validation directions: more than for training, as they judge the result."""
+    return 2 * _TRAINING
 
 
 def _draw(
     candidates: DirectionSample, among: NDArray[np.int64], measure: NDArray[np.float64], count: int,
-    stands_for: float = 1.0,
+    represents: float = 1.0,
 ) -> DirectionSample:  # fmt: skip
-    """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once."""
+    """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once.
+
+    Each direction of ``among`` represents so many.
+    """
     if len(among) <= count:
-        return candidates.some(among, stands_for * candidates.weights[among])
+        return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # What would be drawn more than once is drawn surely, and the others the more.
+    # Directions that would be drawn more than once are drawn once, and the others more often.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
         share[rest] *= (count - np.count_nonzero(~rest)) / share[rest].sum()
     edges = np.cumsum(share)
-    positions = np.arange(np.random.default_rng(_SEED).uniform(), edges[-1], 1.0)
+    positions = np.arange(np.random.default_rng(1).uniform(), edges[-1], 1.0)
     places = np.minimum(np.searchsorted(edges, positions, side="right"), len(among) - 1)
     chosen = among[places]
-    return candidates.some(chosen, stands_for * candidates.weights[chosen] / share[places])
+    return candidates.some(chosen, represents * candidates.weights[chosen] / share[places])
 
 
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Directions that may decide however few they are: by the mirror, by orders, of large gain, at the ranges' ends."""
+    """Directions that may decide, however few: near the mirror or an order, of large gain, at the ranges' ends."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
+    # Each order is a kind: many directions near one of them say nothing of the few near another.
     order_light = _order_light(heightfield, direction_range, sample, plan, threads=threads)
-    kinds = [
-        (-across, _NEAR_MIRROR),
-        (sample.gains, _OF_LARGEST_GAIN),
-        # Each order by itself, too: many directions by one of them say nothing of the few by another.
-        (order_light.max(axis=1, initial=-math.inf), _NEAR_ORDERS),
-        *((score, _NEAR_EACH_ORDER) for score in order_light.T),
-        *((score, _AT_EACH_END) for score in (across, order_rates, w, -w, -light, light + w)),
-    ]
-    return np.unique(np.concatenate([np.argpartition(score, -count)[-count:] for score, count in kinds]))
+    scores = [-across, sample.gains, *order_light.T, across, order_rates, w, -w, -light, light + w]
+    return np.unique(np.concatenate([np.argpartition(score, -_EDGE_CASES)[-_EDGE_CASES:] for score in scores]))
 
 
 def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """How much light directions may see of each of the strongest orders but the mirror's, by the logarithm, (n, m)."""
+    """Logarithm of the light that directions may show of each of the strongest orders but the zeroth, shape (n, m)."""
     coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield, plan.method, plan.coherence, direction_range,
         coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
@@ -138,16 +142,19 @@ def _order_light(
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    # The mirror's is another kind.
-    others = np.flatnonzero(q.any(axis=1))[:_STRONG_ORDERS]
+    # The zeroth order is another kind.
+    others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
-    # The place on the way from red to blue that is nearest to each order.
-    foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), 1e-12)[:, None]
-    foot = np.clip(foot, 1e3 / direction_range.lambda_max_nm, 1e3 / direction_range.lambda_min_nm)
+    # The wavenumber in the visible band at which a direction is nearest to each order.
+    foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
+    foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    falloff = 1.0
+    # The patch of replicas has no window: 1 µm² stands for its falloff.
+    falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        falloff = coefficient_table.falloff_um2(plan.coherence, 0.5)
-    strength = np.log(np.maximum(powers, 1e-30)) - falloff * away
-    return np.asarray(strength + np.log(np.maximum(sample.gains, 1e-30))[:, None])
+        # A centred window's is that of amplitudes: with that of powers, valleys between orders are no edge cases, where
+        # tables have their largest errors.
+        falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
+    strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
+    return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

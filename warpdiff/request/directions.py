@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Directions of a call that a plan looks at, ...
-_MOST_SAMPLED = 8192
-# ... and from how many on it leaves half of them unseen.
+# Largest number of directions in a plan's sample of a call.
+MOST_SAMPLED = 8192
+# Number of directions from which on a sample excludes half of them.
 _SAMPLED_FROM = 4096
 _SEED = 2
 
 
 @dataclass(frozen=True)
 class DirectionSample:
-    """Lit directions of a call.
+    """Illuminated directions of a call.
 
     Attributes:
         scattering_vectors: (u, v, w), shape (n, 3), float64.
@@ -48,7 +48,7 @@ class DirectionSample:
     def among(
         cls, scattering_vectors: NDArray[np.float64], to_lights: NDArray[Any], gains: NDArray[Any], parts: int = 1
     ) -> DirectionSample:
-        """Some of the lit ones among directions, spread over their order; ``parts`` passes share a call's sample."""
+        """Some of the illuminated directions, spread over their order; ``parts`` passes share a call's sample."""
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
         weights = np.full(len(places), len(illuminated) / max(len(places), 1))
@@ -72,9 +72,9 @@ class DirectionSample:
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Which of so many lit directions a plan looks at, where ``parts`` passes share the sample."""
+    """Indices of the illuminated directions in a plan's sample, where ``parts`` passes share the sample."""
     # Of as many passes as many lights have, each gives one at least.
-    most = max(min(_MOST_SAMPLED // parts, count // 2), 1)
+    most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 
@@ -91,7 +91,7 @@ def stratified(count: int, most: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class DirectionRange:
-    """Range of the lit directions and of the wavelengths of a call.
+    """Range of the illuminated directions and of the wavelengths of a call.
 
     Attributes:
         max_uv: Largest |(u, v)|.
@@ -129,7 +129,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """The direction range of both; one without lit directions adds nothing."""
+        """The direction range of both; one without illuminated directions adds nothing."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
@@ -155,7 +155,7 @@ def order_rate(
     """How fast coefficients pass by as 1/λ changes, in units that depend on the coherence, shape (n,).
 
     |(u, v)| for a window; for a source with (u, v) stretched along the light's tangent, in which it is foreshortened;
-    |(u Lx, v Ly)| for copies [µm].
+    |(u Lx, v Ly)| for replicas [µm].
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

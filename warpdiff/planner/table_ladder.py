@@ -1,0 +1,132 @@
+"""Table ladder: the smallest colour table that meets a tolerance on the validation set."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from warpdiff.diffraction.phase_series import EXPANSIONS
+from warpdiff.planner import cost_model
+from warpdiff.planner.coordinate_search import MIN_BRIGHT, predicted_error
+from warpdiff.planner.trial import SEARCH_SAFETY
+from warpdiff.request.plan import W_BASIS_STEP
+from warpdiff.tables import mip_layout, polar_grid
+from warpdiff.tables.coefficient_table import LANES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpdiff.planner.trial import Trial
+    from warpdiff.request.plan import Plan
+
+
+def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
+    """The smallest table whose validation error is within the target, or the best of those tried.
+
+    A table is made for each size that is tried, and found again by the call that follows. None where all are too
+    large, or where a table for points exceeds the target.
+
+    Args:
+        plan: The plan from bounds.
+        trial: Directions of the call.
+        footprint: Whether pixels show means.
+        needed: Whether the largest table is tried before none is returned.
+        affordable: Multiply-adds that making one may cost.
+    """
+    target = plan.tolerance / SEARCH_SAFETY
+    if plan.coherence.kind == "source":
+        # Directions near the mirror direction are sampled.
+        plan = replace(plan, least_weight=trial.reference.least_weight)
+    plan, truncation = _few_terms(plan, trial, target / 2.0)
+    sizes = polar_grid.table_sizes(plan.coherence)
+    # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
+    few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
+    predicted = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
+    size = next((k for k, error in enumerate(predicted) if error <= plan.tolerance / 2.0), None)
+    if size is None and (needed or footprint):
+        size = len(sizes) // 2
+    best, least, w_basis_size = None, math.inf, 0
+    sampled_error: float | None = None
+    while size is not None:
+        rings, azimuths_per_width = sizes[size]
+        candidate = trial.with_w_basis(
+            replace(plan, rings_per_octave=rings, azimuths_per_width=azimuths_per_width, w_basis_size=w_basis_size)
+        )
+        table_cost = cost_model.table_multiply_adds(trial.heightfield, candidate)
+        if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
+            if not needed or best is not None or size == 0:
+                break
+            # A call that needs a table has the largest that fits into memory.
+            size -= 1
+            continue
+        if best is None:
+            trial.update_floors(candidate)
+        error = trial.validation_error(candidate)
+        if target < error <= 2.0 * plan.tolerance and not w_basis_size:
+            # More functions of w may help where more rings do not.
+            w_basis_size = candidate.w_basis_size
+            richer = trial.with_w_basis(candidate, W_BASIS_STEP)
+            if (richer_error := trial.validation_error(richer)) < error / 2.0:
+                candidate, error, w_basis_size = richer, richer_error, richer.w_basis_size
+        if error < least:
+            best, least = _measured(candidate, trial, error, truncation, table_cost, footprint=footprint), error
+        if error <= target:
+            break
+        more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
+        if sampled_error is None and more_terms > plan.terms:
+            # The terms were chosen by residuals of the basis, which the first failure checks.
+            sampled_error = trial.validation_error(plan)
+            if sampled_error > target / 2.0:
+                plan, truncation = replace(plan, terms=more_terms), sampled_error
+                continue
+        size = _next_size(sizes, size, error / target, candidate if needed else None)
+    return best if needed or footprint or least <= target else None
+
+
+def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
+    """A plan with a table, its errors and its costs."""
+    predicted = predicted_error(error, plan, trial)
+    return replace(
+        plan, footprint=footprint, truncation=min(truncation, predicted), neighbourhood=0.0,
+        quadrature=max(0.0, predicted - truncation), rounding=0.0, is_measured=True,
+        multiply_adds=cost_model.look_up_multiply_adds(plan), table_multiply_adds=table_cost,
+        validation_size=len(trial.validation_set),
+    )  # fmt: skip
+
+
+def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, needed: Plan | None) -> int | None:
+    """The next size if the present one's error exceeds the target by a factor, or None where no size will do.
+
+    It is the first whose error fits by the order of convergence, but has at most twice the rings: small tables do not
+    converge by it yet. Where none fits, it is the largest that fits into memory, for a plan that needs a table.
+    """
+    rings = sizes[size][0]
+    larger = range(size + 1, len(sizes))
+    for k in larger:
+        if excess * (rings / sizes[k][0]) ** polar_grid.ERROR_ORDER <= 1.0:
+            return min(k, max(j for j in range(size, len(sizes)) if sizes[j][0] <= 2 * rings))
+    if needed is None:
+        return None
+    fitting = [
+        k
+        for k in larger
+        if mip_layout.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
+        <= polar_grid.MOST_MEGABYTES
+    ]
+    return fitting[-1] if fitting else None
+
+
+def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
+    """The fewest terms within a budget and their error, from one register of terms and the residuals of the basis."""
+    if plan.method in EXPANSIONS or plan.terms <= LANES:
+        return plan, 0.0
+    errors = trial.fitted(plan).truncation_errors
+    error = trial.validation_error(
+        replace(plan, terms=LANES, wavelengths=trial.reference.wavelengths, least_weight=trial.reference.least_weight)
+    )
+    for terms in range(LANES, plan.terms):
+        expected = error * float(errors[terms] / errors[LANES])
+        if expected <= budget:
+            return replace(plan, terms=terms), expected
+    return plan, 0.0
