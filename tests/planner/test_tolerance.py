@@ -128,6 +128,13 @@ def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bri
     assert (figure.overall, figure.bright > 0.05) == (0.0, True)
 
 
+def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
+    """Steps of the bandwidth beyond the smallest set had left repairs without effect: an error of three tolerances."""
+    plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
+    assert 16 < plan.wavelengths < 32
+    assert plan.error < 1e-2
+
+
 def test_directions_that_a_plan_read_are_not_judged(rng):
     z, phi = rng.uniform(0.1, 1.0, 40_000), rng.uniform(0.0, 2.0 * np.pi, 40_000)
     s = np.sqrt(1.0 - z * z)

@@ -189,6 +189,10 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
         else:
             high = middle
         middle = (low + high) // 2
+    if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
+        # Further steps of the bandwidth save nothing, and would be in the way of repairs.
+        while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
+            best, low = finer, low - 1
     return best, error
 
 

@@ -166,8 +166,13 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
         )
 
 
-def warn_outside(plan: Plan, heightfield: HeightField, direction_range: DirectionRange) -> None:
-    """Warn where a call with an explicit plan goes beyond the range that the plan is valid for."""
+def warn_outside(
+    plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, integrates: bool = True
+) -> None:
+    """Warn where a call with an explicit plan goes beyond the range that the plan is valid for.
+
+    Only sums over wavelengths, which spectra are not, depend on the order rate.
+    """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
         ("|(u, v)| up to", direction_range.max_uv, plan.max_uv, 1.0),
@@ -175,7 +180,7 @@ def warn_outside(plan: Plan, heightfield: HeightField, direction_range: Directio
         ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, shortest, 1.0),
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
-    if plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
+    if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
         # For windows it is |(u, v)|.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:

@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
 # Number of directions that a plan from a search computes in the time of the search. Fitted: the same calls.
 _SEARCH_DIRECTIONS = 16_000
+# Least number of directions for which an explicit method that adds powers in float32 is tried: only a trial finds its
+# rounding. Limit: fewer are not worth a second.
+_FEWEST_TRIED = 16
 # Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
 # with another light or view.
 _EXPECTED_REPEATS = 3
@@ -202,7 +205,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
         return True
     # Powers of coefficients that vanish with κ cancel in float32, which only a trial finds.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
-        return True
+        return count >= _FEWEST_TRIED
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
