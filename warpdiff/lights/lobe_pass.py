@@ -79,11 +79,8 @@ class LobePass(LightPass):
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
         """Illuminants, and which lobes have an extent or a position."""
-        lobes = self.part.lobes
-        extents, positions = (
-            tuple(getattr(lobe, name) is None for lobe in lobes) for name in ("deviations", "position")
-        )
-        return type(self), self.part.spectra, extents, positions
+        kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
+        return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
