@@ -64,7 +64,10 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
 
 @wp.func
 def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
-    """``index`` modulo ``size``, for an index that is out by less than one period."""
+    """``index`` modulo ``size``, for an index that is out by less than one period.
+
+    With :func:`~warpdiff.kernels.indices.cyclic` texture look-ups round otherwise, and pictures change.
+    """
     result = index
     if result < 0:
         result = result + size

@@ -36,7 +36,7 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
 # Calls that are not changed: messages, names in messages, types, and options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# Faults of the headers: "header: text" by line. The text occurs once in the header, with «old|new» in place of old.
+# Faults of the headers: "header: text" by line. The text occurs once in the header, with «old|new» instead of old.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 

@@ -71,3 +71,18 @@ def test_scores_count_time_limits_as_detected_and_headers_apart():
     assert "| all | 4 | 2 | 50.0% | 15.0% to 85.0% |" in text
     assert "| native | 1 | 1 | 100.0% |" in text
     assert "| warpdiff/optics/one.py:1 | `SIZE = 3 \\| 1` |" in text
+
+
+def test_faults_of_a_header_run_tests_of_the_kernels_that_include_it(tmp_path):
+    native = tmp_path / mutant_sites.NATIVE
+    native.mkdir(parents=True)
+    (native / "inner.h").write_text("")
+    (native / "outer.h").write_text('#include "inner.h"\n')
+    (tmp_path / "kernels/a.py").write_text('set_options("outer.h")\n\n\ndef traced():\n    return helper()\n')
+    (tmp_path / "kernels/b.py").write_text("def other():\n    return 1\n")
+    run = mutants.Run.__new__(mutants.Run)
+    run.tree, run._most_s, run._executed = tmp_path, 10.0, {"traced", "other"}
+    run._tests = {f"tests/{name}.py": {"seconds": 1.0, "names": [name]} for name in ("traced", "other")}
+    run._uses = dict(run._used_names())
+    fault = mutant_sites.Mutant("native", "kernels/native/inner.h", 0, "", "", 1, ("inner.h",), "")
+    assert run.tests_of(fault) == ["tests/traced.py"]

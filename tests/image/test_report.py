@@ -24,7 +24,7 @@ def test_edges_may_err_by_three_times_as_much():
 
 
 def test_the_verdict_names_what_it_judges():
-    """Three errors out of a hundred may exceed the tolerance of a picture that meets it, as those at edges do here."""
+    """It names shares: the 99th percentile may exceed the tolerance, as errors at edges may be three times as large."""
     met = report(0.05, 0.3)
     assert met.errors[1] > met.tolerance
     assert met.verdict == (

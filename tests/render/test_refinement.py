@@ -213,17 +213,17 @@ def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
 
 
 @pytest.mark.parametrize(
-    ("name", "most", "told"),
+    ("name", "most", "message"),
     [("unconverged_share", 0.01, r"1\.1 % of"), ("unconverged_edge_share", 0.05, r"5\.1 % of")],
 )
-def test_more_errors_are_let_pass_at_edges(name, most, told):
+def test_more_errors_are_let_pass_at_edges(name, most, message):
     converged = Report(1e-2, (1e-3, 1e-2), True, 0.5, 0.0, 0.0, 1)
 
     def warned(share):
         warn_unconverged(types.SimpleNamespace(report=dataclasses.replace(converged, **{name: share})))
 
     warned(most - 0.001)
-    with pytest.warns(wd.WarpdiffWarning, match=told):
+    with pytest.warns(wd.WarpdiffWarning, match=message):
         warned(most + 0.001)
 
 

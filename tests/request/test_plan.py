@@ -107,7 +107,7 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
-    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence)
+    few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
     assert plan.is_measured
     assert not few.is_measured

@@ -92,9 +92,10 @@ class _Work:
 def parallel_for(
     work: Callable[[Any], None], items: Sequence[Any], *, threads: int, progress: Callable[[float], None] | None = None
 ) -> None:
-    """Call ``work`` for each item: a thread that is free takes the next one, of so many with the calling one.
+    """Call ``work`` for each item: a thread that is free takes the next one.
 
-    ``progress`` is called with the share of the items that is done.
+    There are at most ``threads`` threads, the calling one included. ``progress`` is called with the share of the items
+    that is done.
     """
     _Work(work, items, progress).finish(threads)
 

@@ -91,7 +91,7 @@ class LobePass(LightPass):
         """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction that a grid is for."""
         rays = self.context.rays
         to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
-        # The grids before may be as large as all memory that is free.
+        # The previous grids are freed first: both together may exceed the memory.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 

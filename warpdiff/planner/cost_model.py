@@ -8,7 +8,7 @@ choice between plans by less than that.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.request.plan import Plan
+
+_Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Nanometres per micrometre [nm/µm]. Derived: units.
 NM_PER_UM = 1e3
@@ -41,8 +43,8 @@ _NODES_OF_LINE = 42.0
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD, _COST_OF_LOOK_UP = 105.0, 0.2, 27.0
 
 
-def wavelength_count(plan: Plan, order_rate: float, w: float) -> float:
-    """How many wavelengths a direction requires."""
+def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
+    """How many wavelengths a direction requires, or each of several."""
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
@@ -56,9 +58,8 @@ def sampling_multiply_adds(
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        per_rate, per_w, constant = plan.bandwidth_um
-        needed = SPAN * (per_rate * order_rates + per_w * w + constant) + 1.0
         # Sets of wavelengths are larger than needed by half of their ratio.
+        needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
     if plan.coherence.kind == "replicas":

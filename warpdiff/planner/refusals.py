@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.diffraction.phase_series import EXPANSIONS
@@ -189,7 +191,7 @@ def warn_outside(
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"
         for name, value, planned, sign in numbers
-        if sign * (value - planned) > _RANGE_MARGIN * max(planned, _RANGE_MARGIN)
+        if sign * (value - planned) > _RANGE_MARGIN * planned + float(np.finfo(np.float32).eps)
     ]
     if beyond and plan.method != "direct":
         warn(

@@ -7,6 +7,7 @@ over the wavelength.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
@@ -37,6 +38,8 @@ from warpdiff.request.signatures import accepts
 from warpdiff.tables import coefficient_table, polar_grid
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -154,10 +157,13 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    result = _unmeasured(request, direction_range, sample, upper)
-    affordable = _affordable_table_cost(request, result, count)
+    # It may take a basis of its own, which a search does not.
+    unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
+    affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
         result = _measured(request, direction_range, sample, upper, affordable)
+    else:
+        result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
         # The series that all bases are made from and judged by ends too soon. Its remainder is that of an amplitude.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
@@ -176,20 +182,18 @@ def _has_footprint_table(request: Evaluation) -> bool:
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
-def _affordable_table_cost(request: Evaluation, bounded: Plan, count: float) -> float:
+def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
     """Multiply-adds that making a table may cost: what it saves so many directions of a plan by bounds; 0 for no table.
 
     A table that is asked for, or that shows footprints, may cost any number.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
+    if _method(request) != "auto" or not request.integrates or not has_table(AUTOMATIC, request.coherence):
+        return 0.0
+    bounded = unmeasured()
     table_size = polar_grid.smallest_sufficient_size(bounded)
-    if (
-        _method(request) != "auto"
-        or not request.integrates
-        or table_size is None
-        or not has_table(AUTOMATIC, bounded.coherence)
-    ):
+    if table_size is None:
         return 0.0
     rings, azimuths_per_width = table_size
     smallest = replace(bounded, method=AUTOMATIC, rings_per_octave=rings, azimuths_per_width=azimuths_per_width)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warpdiff.core import forks
 from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import coefficient_basis
@@ -45,6 +46,8 @@ DARK = 1e-10
 NEGLIGIBLE_SHARE = 1e-2
 # The amplitudes of the reference lose nothing in float32, however dark a coefficient is at small κ.
 REFERENCE_METHOD = "jacobi-anger"
+# Number of slices of the directions for each thread. Limit: directions are few, and every thread is to have some.
+_SLICES_OF_THREAD = 4
 # Number of wavelengths of a spectrum that are tried. Limit: they cost as much as directions.
 _SPECTRAL_SAMPLES = 64
 
@@ -165,7 +168,7 @@ class Trial:
         """The largest order rate of the call, which bounds need not reach."""
         return self._range.max_order_rate
 
-    @property
+    @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Order rate, |w| and weight of the candidates, which the call's cost depends on."""
         sample = self._candidates.sample
@@ -219,8 +222,7 @@ class Trial:
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
         """Values of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
-        # Directions are few, and every thread is to have some.
-        slice_size = math.ceil(len(group) / self._threads / 2.0**2)
+        slice_size = math.ceil(len(group) / self._threads / _SLICES_OF_THREAD)
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
                 self.heightfield, plan, self._range, device=self._device, threads=self._threads

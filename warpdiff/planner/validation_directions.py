@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 # Number of candidates in addition to the edge cases, and number of training directions. Fitted: half as many miss the
 # tolerance in more than one call of a hundred; twice as many cost twice the planning time.
 _CANDIDATES, _TRAINING = 1024, 128
+# Number of validation directions: more than for training, as they judge the result.
+_VALIDATION = 2 * _TRAINING
 # Number of edge cases of each kind, and of strong orders, each of which is a kind. Limit: all of them together are at
 # most a third of the candidates.
 _EDGE_CASES = 16
@@ -49,7 +51,7 @@ def candidates(
         threads: Threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
-    if len(sample) > _TRAINING + _validation_size():
+    if len(sample) > _TRAINING + _VALIDATION:
         edge_cases = _edge_cases(heightfield, direction_range, sample, plan, threads=threads)
     others = np.setdiff1d(np.arange(len(sample)), edge_cases)
     uniform = others[stratified(len(others), _CANDIDATES)]
@@ -77,7 +79,7 @@ def sampled(
     order = np.argsort(luminance, kind="stable")
     if len(order) <= _TRAINING:
         return candidates, candidates
-    both = _TRAINING + _validation_size()
+    both = _TRAINING + _VALIDATION
     if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
     # Both sets get their share of few bright directions: each run in the order of brightness is divided among them.
@@ -85,13 +87,8 @@ def sampled(
     training, validation = order[is_training], order[~is_training]
     return (
         _draw(candidates, training, measure, _TRAINING, len(order) / len(training)),
-        _draw(candidates, validation, measure, _validation_size(), len(order) / len(validation)),
+        _draw(candidates, validation, measure, _VALIDATION, len(order) / len(validation)),
     )
-
-
-def _validation_size() -> int:
-    """Number of validation directions: more than for training, as they judge the result."""
-    return 2 * _TRAINING
 
 
 def _draw(

@@ -28,8 +28,6 @@ class DeviceTiles:
         marks: By pixel, whether it is active, converged or neither.
     """
 
-    # The host takes no part, and completes no pictures on the way.
-
     def __init__(self, light: LightRefinement) -> None:
         """Allocate arrays of fixed size, as recorded launches require, for a picture under lights like this one."""
         rays = light.light_pass.context.rays

@@ -239,8 +239,8 @@ class RefinementLoop:
         """Refine a light until no pixel is active.
 
         The picture meets the larger tolerances of ``previews`` first, and calls the function beside each. They do not
-        change the final picture: each begins from pixels of one ray, but finds the tiles again that there are. As with
-        any two ways to trace shadow rays, a grazing one may tell where a preview traced it in another way.
+        change the final picture: each begins from pixels of one ray, and uses the tiles that are shaded already. Only a
+        shadow ray that grazes the mesh may differ, where previews use a grid and the final picture the hierarchy.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]

@@ -28,8 +28,8 @@ RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
 # A grid of faces pays from this many faces per shadow ray on (fitted: a face takes a fifth of the time in a grid that a
 # ray takes through the hierarchy, and a ray in the grid a quarter).
 _FACES_PER_RAY = 3
-# Bytes of a grid per face, about, and the limit of those of all grids of a light, which are there at once: of a disc's
-# hundred lobes, on meshes of up to 140,000 faces.
+# Approximate size of a grid per face [bytes], and limit of the size of all grids of a light, which exist at once
+# [bytes]: a disc of a hundred lobes has grids on meshes of up to 140,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
@@ -52,7 +52,7 @@ class CameraRays:
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Prepare the rays of a view, and of later views of the same size; the arguments are those of `rays_for`."""
+        """Prepare the rays of a view, and of later views of the same size; arguments are as for :func:`rays_for`."""
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height
