@@ -143,9 +143,7 @@ class Trial:
         )
         self.training_set = self._candidates if training is candidates else self._group(training)
         self.validation_set = self._candidates if validation is candidates else self._group(validation)
-        self.order_rate = order_rate(
-            heightfield, plan.coherence, self.training_set.sample.scattering_vectors, self.training_set.sample.to_lights
-        )
+        self.order_rate = self._order_rates(self.training_set.sample)
         self.w = np.abs(self.training_set.sample.scattering_vectors[:, 2])
         self.refine_reference(plan)
 
@@ -172,10 +170,10 @@ class Trial:
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Order rate, |w| and weight of the candidates, which the call's cost depends on."""
         sample = self._candidates.sample
-        order_rates = order_rate(
-            self.heightfield, self.reference.coherence, sample.scattering_vectors, sample.to_lights
-        )
-        return order_rates, np.abs(sample.scattering_vectors[:, 2]), sample.weights
+        return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
+
+    def _order_rates(self, sample: DirectionSample) -> NDArray[np.float64]:
+        return order_rate(self.heightfield, self.reference.coherence, sample.scattering_vectors, sample.to_lights)
 
     def _group(self, sample: DirectionSample) -> Group:
         return Group(sample, self._device, self._points)
@@ -278,12 +276,8 @@ class Trial:
         """The same of the validation directions that lie within the bounds of the reference, if any does."""
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        sample = self.validation_set.sample
         # Where bounds were cut short for a source at the horizon, a table is right and the reference is not.
-        resolved = (
-            order_rate(self.heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
-            <= self.reference.max_order_rate
-        )
+        resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
         )
