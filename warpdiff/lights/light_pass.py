@@ -234,8 +234,8 @@ class LightPass(ABC):
     def graph_key(self) -> tuple[Hashable, ...]:
         """What the launches depend on: a part of the key of a recorded CUDA graph.
 
-        A recorded launch repeats numbers that it was given by value: they belong to the key, or into arrays that
-        :meth:`begin` fills.
+        A replayed launch reuses the scalar arguments that it was recorded with. Such a number must be in the key, or
+        in an array that :meth:`begin` fills.
         """
 
     @abstractmethod

@@ -26,18 +26,19 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Number of repairs of a plan that fails on the validation set; each tries all coordinates, with twice the steps of the
-# one before. Limit: a search has fewer than fifty trials.
+# one before. Chosen so that a search has fewer than fifty trials.
 _REPAIRS = 3
-# Number of octaves by which a search coarsens a bandwidth. Limit: bounds exceed what one surface requires by less.
+# Number of octaves by which a search coarsens a bandwidth. Chosen so that bounds exceed what one surface requires by
+# less than this.
 _OCTAVES = 3
-# Tolerance from whose bandwidth searches of every tolerance are whole steps away. Limit: looser tolerances would cost
-# more than tighter ones by parts of a step.
+# Every search, whatever its tolerance, tries only bandwidths that are a whole number of steps from the bandwidth for
+# this tolerance. Otherwise a looser tolerance could cost a part of a step more than a tighter one.
 _GRID_TOLERANCE = 1e-2
-# Number of bright validation directions from which on they stand for the others. Fitted: random calls with few bright
-# directions (docs/decisions/plans_and_tolerance.md).
+# Least number of bright validation directions that represent all bright directions of the call. Fitted: random calls
+# with few bright directions (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# Share of the tolerance that few directions cannot guarantee: the budget where few are bright, and the least predicted
-# error. Fitted: the same calls.
+# With few bright directions, a search spends only this share of the error that is left. No predicted error is below
+# this share of the tolerance. Fitted: the same calls.
 _SHARE_BY_FEW = 0.1
 
 
@@ -91,7 +92,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 
 
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
-    """Predict the error of a call from the validation error, which is larger the less the set represents the call."""
+    """Predict the error of a call from the validation error; the factor is larger if the set is a part of the call."""
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
     return max(predicted, _SHARE_BY_FEW * plan.tolerance)
@@ -163,13 +164,14 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # The training set may miss the few directions that show the tail of a bright order and little else.
+        # The training set may miss the few directions whose light comes almost only from far away from a bright order.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # All parts of the bandwidth come first: a part alone would use up the budget where another one suffices.
+        # All parts of the bandwidth are coarsened together before each part alone: one part could use up the budget
+        # that another one needs.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -197,7 +199,7 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
 
 
 def _octave_steps(steps: int) -> float:
-    """The factor of a number of steps, of which an octave has as many as there are sets of wavelengths."""
+    """The factor of a number of steps; one octave has ``SETS_PER_OCTAVE`` steps."""
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
@@ -222,12 +224,13 @@ def _scaled(
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
     """The plan with another bandwidth and the wavelengths for it."""
     per_rate, per_w, constant = bandwidth_um
-    # For a grazing source, whose bounds were cut short, as many wavelengths serve directions nearer to the horizon.
+    # Bounds for a grazing source end at a largest number of wavelengths, and serve order rates up to a limit. If a
+    # smaller bandwidth suffices, the same number of wavelengths serves larger rates, too.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
-    # The samples of the periods' factor stay as many.
+    # Wavelengths times subdivisions, the samples of the periods' factor, must not decrease.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
     return replace(result, wavelengths=count, subdivisions=divisions)
 
@@ -254,7 +257,8 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # Samples too sparse to find an order need not have a smaller error at once; otherwise the rest is float32's.
+        # With too few samples to find an order, twice as many need not reduce the error yet: the loop goes on. With
+        # enough samples, an error that does not halve is the rounding of float32.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

@@ -238,9 +238,10 @@ class RefinementLoop:
     ) -> None:  # fmt: skip
         """Refine a light until no pixel is active.
 
-        The picture meets the larger tolerances of ``previews`` first, and calls the function beside each. They do not
-        change the final picture: each begins from pixels of one ray, and uses the tiles that are shaded already. Only a
-        shadow ray that grazes the mesh may differ, where previews use a grid and the final picture the hierarchy.
+        It is first refined to the larger tolerance of each preview, whose function is then called. Previews do not
+        change the final picture: each refinement begins from one ray per pixel, and reuses tiles that are shaded
+        already. Only a shadow ray that grazes the mesh may differ, if one of them uses a grid and the other the
+        hierarchy.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]

@@ -29,7 +29,7 @@ RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
 # ray takes through the hierarchy, and a ray in the grid a quarter).
 _FACES_PER_RAY = 3
 # Approximate size of a grid per face [bytes], and limit of the size of all grids of a light, which exist at once
-# [bytes]: a disc of a hundred lobes has grids on meshes of up to 140,000 faces.
+# [bytes]. With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
