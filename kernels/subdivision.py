@@ -140,19 +140,6 @@ def estimate_errors(
 
 
 @wp.kernel
-def any_occluded(
-    # In:
-    occluded: wp.array(dtype=wp.bool), begins: wp.bool, first: wp.int32, run: wp.int32,
-    # Out:
-    occluded_out: wp.array(dtype=wp.bool),
-):  # fmt: skip
-    """Add from where one lobe is hidden to where any of them is, which ``begins`` with the first."""
-    thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        occluded_out[i] = occluded[i] or (occluded_out[i] and not begins)
-
-
-@wp.kernel
 def add_occluded_power(
     # In:
     occluded: wp.array(dtype=wp.bool), strengths: wp.array(dtype=wp.vec2d), lobe: wp.int32, begins: wp.bool,
@@ -192,18 +179,17 @@ def add_penumbra_error(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, occluded, gains, pixels, colours_before, errors_before, ranks, weights, "
-    f"level, {refinement_levels.MIN_CONTRACTION}f, begin, end, filtered_sums_out, means_out, level_difference_out, "
-    "levels_out, has_unlit_quadrant_out, has_edge_out);"
+    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, errors_before, ranks, weights, level, "
+    f"{refinement_levels.MIN_CONTRACTION}f, begin, end, filtered_sums_out, means_out, level_difference_out, "
+    "levels_out, has_edge_out);"
 )
 def splat_cells_run(
-    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), occluded: wp.array(dtype=wp.bool),
-    gains: wp.array(dtype=wp.float32), pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
+    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
     errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
     level: wp.int32, begin: wp.int32, end: wp.int32, filtered_sums_out: wp.array2d(dtype=wp.vec4f),
     means_out: wp.array(dtype=wp.vec3f), level_difference_out: wp.array(dtype=wp.float32),
-    levels_out: wp.array(dtype=wp.uint8), has_unlit_quadrant_out: wp.array(dtype=wp.uint8),
-    has_edge_out: wp.array(dtype=wp.bool),
+    levels_out: wp.array(dtype=wp.uint8), has_edge_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Filtered sums of pixels one after the other."""
 
@@ -211,21 +197,20 @@ def splat_cells_run(
 @wp.kernel
 def splat_cells(
     # In:
-    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), occluded: wp.array(dtype=wp.bool),
-    gains: wp.array(dtype=wp.float32), pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
+    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
     errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
     level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), means_out: wp.array(dtype=wp.vec3f),
     level_difference_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
-    has_unlit_quadrant_out: wp.array(dtype=wp.uint8), has_edge_out: wp.array(dtype=wp.bool),
+    has_edge_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Splat a pixel's cells through the filter: what they add to that pixel and to the eight around it.
 
     Args:
         colours: Those of the cells, pixel after pixel and row by row.
         hit: Whether they meet the mesh.
-        occluded: Whether the light, or a lobe of it, is hidden from there; empty is nowhere.
         gains: 0 where they are not lit, by the last of several lobes.
         pixels: Whose they are; −1 is none.
         colours_before: Of the picture's pixels by one ray each.
@@ -240,15 +225,13 @@ def splat_cells(
         means_out: Means over the cells, those of the level before.
         level_difference_out: How far these are apart; at first, from the pixel's one ray.
         levels_out: Set to ``level``.
-        has_unlit_quadrant_out: A bit for each quadrant, row by row: 1 if any of its cells is not lit.
         has_edge_out: Whether any cell meets nothing or is not lit.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, occluded, gains, pixels, colours_before, errors_before, ranks, weights, level, begin,
-        begin + run, filtered_sums_out, means_out, level_difference_out, levels_out, has_unlit_quadrant_out,
-        has_edge_out,
+        colours, hit, gains, pixels, colours_before, errors_before, ranks, weights, level, begin, begin + run,
+        filtered_sums_out, means_out, level_difference_out, levels_out, has_edge_out,
     )  # fmt: skip
 
 
@@ -260,7 +243,6 @@ class FilteredSums:
     means: wp.array(dtype=wp.vec3f)
     level_difference: wp.array(dtype=wp.float32)
     levels: wp.array(dtype=wp.uint8)
-    has_unlit_quadrant: wp.array(dtype=wp.uint8)
     has_edge: wp.array(dtype=wp.bool)
     ranks: wp.array(dtype=wp.int32)
     # By level, what the filter has in each of three pixels over the weights'.

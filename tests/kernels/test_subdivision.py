@@ -13,25 +13,25 @@ def array(values, dtype):
 
 @pytest.mark.parametrize("level", [1, 2])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, rng):
-    """Pixel 5 of nine is split; one cell after the other is hidden, meets nothing, or lies below the horizon."""
+    """Pixel 5 of nine is split; one cell after the other is lit, meets nothing, or is not lit."""
     across = 2**level
     weights = rng.uniform(size=(3, across))
     for cell in range(across**2):
         colours = rng.uniform(size=(across**2, 3)).astype(np.float32)
-        hit, occluded, gains = np.ones(across**2, dtype=int), np.zeros(across**2, dtype=bool), np.ones(across**2)
+        hit, gains = np.ones(across**2, dtype=int), np.ones(across**2)
         kind = cell % 3
-        occluded[cell], hit[cell], gains[cell] = kind == 0, kind != 1, kind != 2
+        hit[cell], gains[cell] = kind != 1, kind != 2
         before = rng.uniform(size=(9, 3)).astype(np.float32)
         sums, means = wp.zeros((9, 9), dtype=wp.vec4f, device="cpu"), wp.zeros(9, dtype=wp.vec3f, device="cpu")
         difference = wp.zeros(9, dtype=wp.float32, device="cpu")
-        levels, unlit = (wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))
+        levels = wp.zeros(9, dtype=wp.uint8, device="cpu")
         has_edge = wp.zeros(9, dtype=wp.bool, device="cpu")
         inputs = [
-            array(colours, wp.vec3f), array(hit, wp.int32), array(occluded, wp.bool), array(gains, wp.float32),
-            array([5], wp.int32), array(before, wp.vec3f), array(np.full(9, 1e-6), wp.float32), array([], wp.int32),
+            array(colours, wp.vec3f), array(hit, wp.int32), array(gains, wp.float32), array([5], wp.int32),
+            array(before, wp.vec3f), array(np.full(9, 1e-6), wp.float32), array([], wp.int32),
             array(weights.ravel(), wp.float32), level, 0, 1,
         ]  # fmt: skip
-        outputs = [sums, means, difference, levels, unlit, has_edge]
+        outputs = [sums, means, difference, levels, has_edge]
         wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
         values = np.column_stack([colours, np.ones(across**2)]) * hit[:, None]
         expected = np.einsum("ir,jc,rcx->ijx", weights, weights, values.reshape(across, across, 4))
@@ -40,8 +40,6 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, rng):
         np.testing.assert_allclose(means.numpy()[5], mean, rtol=1e-5)
         if level == 1:
             assert difference.numpy()[5] == pytest.approx(np.linalg.norm(mean - before[5]), rel=1e-4)
-        quadrant = 2 * (cell // across >= across // 2) + (cell % across >= across // 2)
-        assert unlit.numpy()[5] == (0 if kind == 1 else 1 << quadrant)
         assert has_edge.numpy()[5] == (kind > 0)
         assert levels.numpy().tolist() == 5 * [0] + [level] + 3 * [0]
 

@@ -120,7 +120,6 @@ class LightSamples:
 
     Attributes:
         occluded: Whether the mesh occludes the lobe, (n,); of a sky, any part of it.
-        any_occluded: Whether it occludes any lobe of a part, (n,).
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``; of a sky (0, 0, w).
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``; of a sky the mirror directions in
             the world frame.
@@ -131,7 +130,6 @@ class LightSamples:
     """
 
     occluded: wp.array
-    any_occluded: wp.array
     scattering_vectors: wp.array
     to_lights: wp.array
     gains: wp.array
@@ -146,7 +144,7 @@ class LightSamples:
             return wp.empty(size, dtype=dtype, device=device)
 
         return cls(
-            empty(wp.bool), empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
+            empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 
@@ -255,23 +253,18 @@ class LightPass(ABC):
         """Prepare shadow rays, as many for each lobe as the function says, which may read the hits."""
 
     @abstractmethod
-    def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:
+    def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the calls that sample a lobe at the hits of a batch, and add its pigment."""
 
     @abstractmethod
-    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup, *, shadows: bool = True) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the colours of a sampled lobe."""
 
-    def shade(self, batch: RayBatch, lookup: ColourLookup, *, shadows: bool) -> list[KernelCall]:
-        """Return the calls that add the colours of all lobes to a batch of cells, and where any lobe is occluded."""
-        calls, samples = [], batch.samples
-        occlusion = self.occlusion(samples, shadows=shadows)
+    def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+        """Return the calls that add the colours of all lobes to a batch of cells."""
+        calls = []
         for lobe in range(self.lobe_count):
-            calls += self.scatter(lobe, batch, Counting(), shadows=shadows)
-            if occlusion is samples.any_occluded:
-                inputs = [samples.occluded, lobe == 0]
-                calls.append(KernelCall(subdivision.any_occluded, inputs, [occlusion], in_runs=True))
-            calls += self.colour(lobe, batch, lookup, shadows=shadows)
+            calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
     @property
@@ -279,13 +272,9 @@ class LightPass(ABC):
         """Whether the mesh may occlude some of several lobes."""
         return self.lobe_count > 1 and self.context.casts_shadows
 
-    def occlusion(self, samples: LightSamples, *, shadows: bool = True) -> wp.array:
-        """Return which rays are occluded from any lobe; empty is none of them."""
-        return samples.any_occluded if shadows and self.has_penumbrae else self.lobe_occlusion(samples, shadows=shadows)
-
-    def lobe_occlusion(self, samples: LightSamples, *, shadows: bool) -> wp.array:
+    def occlusion(self, samples: LightSamples) -> wp.array:
         """Return which rays are occluded from the last lobe; empty is none of them."""
-        return samples.occluded if shadows and self.context.casts_shadows else self._no_occlusion
+        return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def penumbra_calls(
         self, lobe: int, batch: RayBatch, occluded_power: wp.array, errors: wp.array

@@ -95,10 +95,10 @@ class LobePass(LightPass):
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
-    def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:
+    def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the calls that find occlusion, scattering vectors and geometry factors of a lobe."""
         samples, pixels = batch.samples, batch.gbuffer.pixels
-        occluded = self.lobe_occlusion(samples, shadows=shadows)
+        occluded = self.occlusion(samples)
         inputs = [
             pixels, self._lights, lobe, self.context.reflection, counting.weight, counting.counted, counting.begins,
             counting.resets, occluded,
@@ -133,10 +133,7 @@ class LobePass(LightPass):
             calls.append(KernelCall(light_samples.add_light_extent, inputs, footprints, in_runs=True))
         return calls
 
-    def colour(
-        self, lobe: int, batch: RayBatch, lookup: ColourLookup, *,
-        shadows: bool = True,  # noqa: ARG002 (of skies)
-    ) -> list[KernelCall]:  # fmt: skip
+    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that look up the colours of a lobe, material after material."""
         samples, context = batch.samples, self.context
         calls, footprints = [], None

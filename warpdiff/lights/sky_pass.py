@@ -56,16 +56,16 @@ class SkyPass(LightPass):
         whites = [context.pigment_white(spectrum) for spectrum in self.maps.spectra]
         self._map.whites = wp.mat33f(*np.ravel(whites))
 
-    def scatter(self, lobe: int, batch: RayBatch, counting: Counting, *, shadows: bool = True) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
+    def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the calls that find the mirror directions of a batch."""
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [*batch.samples.directions, *batch.sums]
         return [KernelCall(sky_sum.mirror_directions, inputs, outputs, in_runs=True)]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup, *, shadows: bool = True) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the sky's colours over the footprints of a batch."""
         samples, directions = batch.samples, self.maps.directions
-        occluded = self.lobe_occlusion(samples, shadows=shadows)
+        occluded = self.occlusion(samples)
         mesh_id = self.context.rays.scene.with_hierarchy().mesh_id if len(occluded) else 0
         table = sky_cells.table_for(lookup, self.illuminated[lobe], directions)
         inputs = [

@@ -92,7 +92,7 @@ class DeviceTiles:
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
         """Shade the cells of as many chosen tiles as there is room for until none is left; −1 is no tile."""
-        calls = light.shade_cells(level, self._buffers, group.sums, shadows=True)
+        calls = light.shade_cells(level, self._buffers, group.sums)
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()
         self._offset.zero_()

@@ -61,7 +61,7 @@ class Picture:
 
     def __init__(
         self, surface: Surface, view: View, optics: SurfaceOptics, *, smooth: bool = True, samples_per_pixel: int = 1,
-        means: bool = False, margin: int = 0, materials_of_faces: NDArray[np.int32] | None = None,
+        means: bool = False, refine: bool = False, margin: int = 0, materials_of_faces: NDArray[np.int32] | None = None,
         device_driven: bool = False, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """Allocate the arrays of a picture.
@@ -73,6 +73,7 @@ class Picture:
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel, or the least number of cells of means.
             means: Whether pixels show means, which begin with one ray per pixel.
+            refine: Whether pixels that show means are refined.
             margin: Number of additional pixels on each side, which the filters of the outermost pixels cover.
             materials_of_faces: Index of each face's material; None for a single material.
             device_driven: Whether the CPU, too, fills the picture without the host, so that its launches can be
@@ -83,10 +84,10 @@ class Picture:
         self.rays = rays_for(
             surface, view, smooth=smooth, margin=margin, device_driven=device_driven, device=device, threads=threads
         )
-        self._means, self._least_samples = means, samples_per_pixel
+        self._means, self._refine, self._least_samples = means, refine, samples_per_pixel
         self._samples_per_pixel = 1 if means else samples_per_pixel
         self.context = PassContext(self.rays, optics, materials_of_faces)
-        self.sampler = PixelSampler(self.context, samples_per_pixel=self._samples_per_pixel, means=means)
+        self.sampler = PixelSampler(self.context, samples_per_pixel=self._samples_per_pixel, means=means, refine=refine)
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
         # Sums of a single light, which are the picture's unless means under several lights have to be told apart.
         self._light_sums = self._sums
@@ -97,7 +98,6 @@ class Picture:
         self._shown_xyz: wp.array | None = None
         self._unserved_gain = wp.empty(0, dtype=wp.float32, device=device)
         self._loop: RefinementLoop | None = None
-        self._refined = False
 
     @property
     def view(self) -> View:
@@ -151,15 +151,13 @@ class Picture:
                 yield index, subprogress(progress, at / count, (at + 1) / count)
 
     def render(
-        self, lookup: ColourLookup, *, tolerance: float, refine: bool = True, progress: Progress = None,
-        previews: Previews = (),
-    ) -> None:  # fmt: skip
+        self, lookup: ColourLookup, *, tolerance: float, progress: Progress = None, previews: Previews = ()
+    ) -> None:
         """Add the colours of all samples and lights.
 
         Args:
             lookup: Look-up of the colours.
             tolerance: Tolerance of the picture.
-            refine: Whether pixels are refined.
             progress: Function of the share that is done; None is none.
             previews: Larger tolerances, the largest first, each with a function that is called once the picture meets
                 it, where the host subdivides pixels.
@@ -181,18 +179,17 @@ class Picture:
             # Each light takes all of its cells before the next, so that only whole pictures meet a coarser tolerance.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
-                policy = RefinementPolicy(preview, least_level, refine)
+                policy = RefinementPolicy(preview, least_level, self._refine)
                 self._render_means(lookup, policy, subprogress(progress, at / count, (at + 1) / count))
                 completed()
                 self.sampler.set_lights(self._passes)
             progress, previews = subprogress(progress, 1.0 - 1.0 / count, 1.0), ()
-        self._render_means(lookup, RefinementPolicy(tolerance, least_level, refine), progress, previews)
+        self._render_means(lookup, RefinementPolicy(tolerance, least_level, self._refine), progress, previews)
 
     def _render_means(
         self, lookup: ColourLookup, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
         """Add means over pixels, light after light."""
-        self._refined = policy.refine
         self._sums.clear_errors()
         of_light, count = self._light_sums, len(self._passes)
         if count > 1:
@@ -290,8 +287,9 @@ class Picture:
         # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
+        edges = self._cropped(sums.edges) if self._means and self._refine else None
         report = report_of(
-            error, illuminated, self._cropped(sums.edges) if self._refined else None, tolerance=plan.tolerance,
+            error, illuminated, edges, tolerance=plan.tolerance,
             light_sample_count=sum(light.sample_count for light in self._parts),
             refined_share=min(subdivided / max(covered, 1), 1.0),
         )  # fmt: skip

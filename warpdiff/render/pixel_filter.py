@@ -137,15 +137,6 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
     return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
 
 
-def beside_quadrants(quadrants: NDArray[np.uint8], width: int, height: int) -> NDArray[np.bool_]:
-    """Pixels that have a quadrant or touch one, as a mask of the picture; bits of ``quadrants`` go row by row."""
-    wide = np.zeros((2 * height + 2, 2 * width + 2), dtype=np.bool_)
-    for bit in range(4):
-        wide[1 + bit // 2 : -1 : 2, 1 + bit % 2 : -1 : 2] = (quadrants >> bit & 1).reshape(height, width)
-    rows = wide[:-3:2] | wide[1:-2:2] | wide[2:-1:2] | wide[3::2]
-    return np.asarray(rows[:, :-3:2] | rows[:, 1:-2:2] | rows[:, 2:-1:2] | rows[:, 3::2])
-
-
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> Any:
     """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
     # Rows begin with words of their own.

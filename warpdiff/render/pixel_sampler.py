@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 # Limit of the samples per pixel whose directions are measured; cells of means that are measured in all, as these see
 # directions that pixels' centres do not, and their limit per pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
+# Shadow rays per hit of a picture that is refined (fitted to the snake: 41 at a tolerance of 1e-1, 119 at 3e-2).
+_SHADOW_RAYS_REFINED = 40
 
 
 class LobeIndex(NamedTuple):
@@ -40,8 +42,9 @@ class PixelSampler:
         samples: The last lobe at the hits of the last sample.
     """
 
-    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool) -> None:
+    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, refine: bool) -> None:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
+        self._shadow_rays_per_hit = _SHADOW_RAYS_REFINED if means and refine else samples_per_pixel
         self.samples = LightSamples.allocate(
             context.rays.size, means=means, has_materials=context.has_materials, device=context.device
         )
@@ -94,10 +97,10 @@ class PixelSampler:
         count = samples_per_pixel or self._samples_per_pixel
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
-            # The number of rays that hit the mesh decides how shadow rays are traced.
+            # The number of rays that hit the mesh decides how shadow rays are traced, those of cells included.
             rays.launch(calls)
             calls = []
-            light_pass.prepare_shadow_rays(lambda: self._samples_per_pixel * rays.gbuffer.hit_count)
+            light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
         is_first = index == LobeIndex(0, 0)
         begins = is_first and sample == 0
         # Each light finds its colours of means by itself; hits count once.

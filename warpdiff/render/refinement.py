@@ -109,26 +109,22 @@ class LightRefinement:
         ]  # fmt: skip
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
-    def shade_cells(self, level: int, buffers: TileBuffers, sums: Any, *, shadows: bool) -> list[KernelCall]:
+    def shade_cells(self, level: int, buffers: TileBuffers, sums: Any) -> list[KernelCall]:
         """Return the calls that trace and shade the cells in the buffers, and splat them to the pixels around."""
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
         sampling = Sampling()
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
-            batch.xyz, batch.gbuffer.pixels.hit, self.light_pass.occlusion(batch.samples, shadows=shadows),
-            batch.samples.gains, buffers.tiles[level], self.sums.xyz, self.sums.errors, sums.ranks,
-            pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
+            batch.xyz, batch.gbuffer.pixels.hit, batch.samples.gains, buffers.tiles[level], self.sums.xyz,
+            self.sums.errors, sums.ranks, pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device),
+            level,
         ]  # fmt: skip
-        outputs = [
-            sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_unlit_quadrant, sums.has_edge,
-        ]  # fmt: skip
+        outputs = [sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_edge]
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
-        return [
-            *rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup, shadows=shadows), splat,
-        ]  # fmt: skip
+        return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
     def resolve_pixels(self, level: int, sums: Any, pixels: wp.array, floor: wp.array, marks: wp.array) -> KernelCall:
         """Return the call that sets pixels to the sums of the cells around, and compares them with the level before."""
@@ -157,7 +153,7 @@ class LightRefinement:
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
         result.means = wp.empty(tiles, dtype=wp.vec3f, device=device)
         result.level_difference = wp.empty(tiles, dtype=wp.float32, device=device)
-        result.levels, result.has_unlit_quadrant = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
+        result.levels = wp.empty(tiles, dtype=wp.uint8, device=device)
         result.has_edge = wp.empty(tiles, dtype=wp.bool, device=device)
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
         result.filter_normalisation = pixel_filter.filter_normalisation_on(
@@ -240,8 +236,7 @@ class RefinementLoop:
 
         It is first refined to the larger tolerance of each preview, whose function is then called. Previews do not
         change the final picture: each refinement begins from one ray per pixel, and reuses tiles that are shaded
-        already. Only a shadow ray that grazes the mesh may differ, if one of them uses a grid and the other the
-        hierarchy.
+        already.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]

@@ -271,10 +271,7 @@ class Renderer:
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
         """Launch the kernels of a picture."""
-        mine.picture.render(
-            self._lookup, tolerance=self.plan.tolerance, refine=self._inputs.settings.refine, progress=progress,
-            previews=previews,
-        )  # fmt: skip
+        mine.picture.render(self._lookup, tolerance=self.plan.tolerance, progress=progress, previews=previews)
 
     def _replay(self, mine: _ThreadPicture) -> None:
         """Launch it as it was recorded, where the same launches will do."""

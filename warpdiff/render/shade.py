@@ -111,7 +111,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
         lookup = ColourLookup(
             evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
-        picture.render(lookup, tolerance=plan.tolerance, refine=inputs.settings.refine, progress=progress)
+        picture.render(lookup, tolerance=plan.tolerance, progress=progress)
     return picture.image(plan)
 
 
@@ -169,8 +169,9 @@ class PictureInputs:
         )  # fmt: skip
         return Picture(
             surface, view, optics, smooth=settings.smooth, samples_per_pixel=settings.samples_per_pixel,
-            means=footprint, margin=margin, materials_of_faces=self.materials_of_faces(surface),
-            device=self.evaluation.device, threads=self.evaluation.threads, **options,
+            means=footprint, refine=settings.refine, margin=margin,
+            materials_of_faces=self.materials_of_faces(surface), device=self.evaluation.device,
+            threads=self.evaluation.threads, **options,
         )  # fmt: skip
 
     def materials_of_faces(self, surface: Surface) -> NDArray[np.int32] | None:

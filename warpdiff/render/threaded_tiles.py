@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Shadow rays of the cells of a subdivided pixel (fitted to the snake: 22 at a tolerance of 1e-1, 43 at 3e-2, of which a
-# part is reused).
-_SHADOW_RAYS_OF_CELLS = 16
 # Limit of the pixels that are subdivided together, each of which takes some 40 numbers.
 _MOST_PIXELS = 1 << 17
 
@@ -48,7 +45,7 @@ class HostTileGroup(TileGroup):
     @property
     def results(self) -> list[NDArray[Any]]:
         """What the cells of the tiles give, by index in ``sums``."""
-        names = "filtered_sums", "means", "level_difference", "levels", "has_unlit_quadrant", "has_edge"
+        names = "filtered_sums", "means", "level_difference", "levels", "has_edge"
         return [getattr(self.sums, name).numpy() for name in names]
 
 
@@ -56,28 +53,28 @@ class _ShadedTiles:
     """What tiles gave for a coarser tolerance: for a finer one the same tiles would give it again."""
 
     def __init__(self) -> None:
-        # By level: tiles, the levels at which each took shadow rays, and what it gave.
-        self._by_level: dict[int, tuple[NDArray[np.int32], NDArray[np.uint8], list[NDArray[Any]]]] = {}
+        # By level: tiles, and what each gave.
+        self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
-    def fill(self, level: int, group: HostTileGroup, shadowed: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Copy what tiles gave before with the same shadow rays; return which tiles of the group gave nothing."""
+    def fill(self, level: int, group: HostTileGroup) -> NDArray[np.bool_]:
+        """Copy what tiles gave before; return which tiles of the group gave nothing."""
         tiles = group.tile_indices
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
-        before, shadowed_before, results = self._by_level[level]
+        before, results = self._by_level[level]
         rows = np.full(group.is_chosen.shape, -1, dtype=np.int32)
         rows[before] = np.arange(len(before), dtype=np.int32)
         row = rows[tiles]
-        is_known: NDArray[np.bool_] = (row >= 0) & (shadowed_before[row] == shadowed)
+        is_known: NDArray[np.bool_] = row >= 0
         ranks, row = group.ranks[tiles[is_known]], row[is_known]
         for values, known in zip(group.results, results, strict=True):
             values[ranks] = known[row]
         return ~is_known
 
-    def store(self, level: int, group: HostTileGroup, shadowed: NDArray[np.uint8]) -> None:
+    def store(self, level: int, group: HostTileGroup) -> None:
         """Keep what the tiles of a group gave."""
         ranks = group.ranks[group.tile_indices]
-        self._by_level[level] = group.tile_indices, shadowed, [values[ranks] for values in group.results]
+        self._by_level[level] = group.tile_indices, [values[ranks] for values in group.results]
 
 
 class ThreadedTiles:
@@ -112,8 +109,6 @@ class ThreadedTiles:
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
         self._marked = np.zeros(self._rays.size, dtype=np.uint8)
         self.marks = self._array(self._marked, wp.uint8)
-        # By pixel, the quadrants in which any cell is not lit, and a bit for each level whose cells took shadow rays.
-        self._unlit_quadrants, self._shadowed = np.zeros_like(self._marked), np.zeros_like(self._marked)
 
     def end(self, light: LightRefinement) -> None:
         """End a light, which needs nothing here."""
@@ -128,8 +123,6 @@ class ThreadedTiles:
         self.count = max(self.count, len(pixels))
         if not len(pixels):
             return
-        if light.light_pass.context.casts_shadows:
-            light.light_pass.prepare_shadow_rays(lambda: _SHADOW_RAYS_OF_CELLS * len(pixels))
         if len(pixels) > _MOST_PIXELS:
             # Tiles between groups see what the group before has changed.
             self.keep_tiles(keep=False)
@@ -167,36 +160,20 @@ class ThreadedTiles:
     ) -> None:
         """Shade the cells of a group's tiles at a level, and splat them to the pixels around."""
         width, height, tiles = self._rays.width, self._rays.height, group.tile_indices
-        # The first cells show whether a shadow's edge passes: it does not where they and those beside them are lit.
-        # Surfaces that face away from the light may have a part that does not, from which the light is occluded.
-        near_unlit = np.full(self._marked.shape, light.light_pass.context.casts_shadows)
-        if level > 1:
-            self._unlit_quadrants[tiles] |= group.sums.has_unlit_quadrant.numpy()[group.ranks[tiles]]
-            near_unlit = pixel_filter.beside_quadrants(self._unlit_quadrants, width, height).ravel()
-        is_near = near_unlit[tiles]
-        # Tiles change from what they were at the level before, too.
-        self._shadowed[tiles] |= is_near.astype(np.uint8) << level
-        shadowed = self._shadowed[tiles]
         is_new = np.ones(len(tiles), dtype=np.bool_)
         if self._shaded is not None:
-            is_new = self._shaded.fill(level, group, shadowed)
-        new = np.concatenate([tiles[is_new & ~is_near], tiles[is_new & is_near]])
+            is_new = self._shaded.fill(level, group)
         buffers = self._buffers_of(light.buffer_kind)
-        batches = list(pixel_filter.parts(new, level))
+        pipeline = Pipeline(light.shade_cells(level, buffers.buffers, group.sums))
+        batches = list(pixel_filter.parts(tiles[is_new], level))
         for index, batch in enumerate(batches):
-            in_light = int(np.count_nonzero(~near_unlit[batch]))
-            pipelines = [
-                (Pipeline(light.shade_cells(level, buffers.buffers, group.sums, shadows=shadows)), among)
-                for shadows, among in ((False, range(in_light)), (True, range(in_light, len(batch))))
-                if among
-            ]
             cells = pixel_filter.grid_of(batch, level, width, height, self._device)
             buffers.shade(
-                level, batch, pipelines, self._rays.rasterize_cells(cells, len(batch)), threads=self._threads,
+                level, batch, pipeline, self._rays.rasterize_cells(cells, len(batch)), threads=self._threads,
                 progress=subprogress(progress, index / len(batches), (index + 1) / len(batches)),
             )  # fmt: skip
         if self._shaded is not None:
-            self._shaded.store(level, group, shadowed)
+            self._shaded.store(level, group)
 
     def _buffers_of(self, kind: BufferKind) -> SharedTileBuffers:
         if kind not in self._buffers:

@@ -16,7 +16,7 @@ from warpdiff.render import pixel_filter
 from warpdiff.scene.gbuffer import GBuffer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     import numpy as np
     from numpy.typing import NDArray
@@ -98,30 +98,22 @@ class SharedTileBuffers:
         self._free = [part * self._size for part in range(parts)]
 
     def shade(
-        self, level: int, pixels: NDArray[np.int32], pipelines: Sequence[tuple[Pipeline, range]],
-        nearest: NDArray[np.uint64], *, threads: int, progress: Callable[[float], None] | None,
+        self, level: int, pixels: NDArray[np.int32], pipeline: Pipeline, nearest: NDArray[np.uint64], *, threads: int,
+        progress: Callable[[float], None] | None,
     ) -> None:  # fmt: skip
-        """Launch pipelines over the cells of pixels at a level.
+        """Launch a pipeline over the cells of pixels at a level.
 
         Args:
             level: The level.
             pixels: The pixels.
-            pipelines: Pipelines, each for a range of the pixels; they add colours to zeros.
+            pipeline: The pipeline, which adds colours to zeros.
             nearest: Nearest faces of the cells' rays.
             threads: Number of threads, for each of which there is a part.
             progress: Function of the share that is done; None is none.
         """
         rays = refinement_levels.rays_at(level)
-        slices = [
-            (pipeline, range(among.start + part.start, among.start + part.stop))
-            for pipeline, among in pipelines
-            for part in pixel_filter.slices(len(among), level, threads)
-        ]
-        # The largest come first, so that threads finish together.
-        slices.sort(key=lambda piece: -len(piece[1]))
 
-        def work(piece: tuple[Pipeline, range]) -> None:
-            pipeline, part = piece
+        def work(part: range) -> None:
             first = self._free.pop()
             try:
                 end = first + len(part) * rays
@@ -135,4 +127,5 @@ class SharedTileBuffers:
             finally:
                 self._free.append(first)
 
+        slices = list(pixel_filter.slices(len(pixels), level, threads))
         parallel_for(work, slices, threads=threads, progress=progress)
