@@ -10,7 +10,7 @@ from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.planner import cost_model
 from warpdiff.planner.coordinate_search import MIN_BRIGHT, predicted_error
 from warpdiff.planner.trial import SEARCH_SAFETY
-from warpdiff.request.plan import W_BASIS_STEP
+from warpdiff.request.plan import MOST_W_BASIS, W_BASIS_STEP
 from warpdiff.tables import mip_layout, polar_grid
 from warpdiff.tables.coefficient_table import LANES
 
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
+
+
+# A larger table that has more than this share of the error of the best one before does not help. Derived: the next size
+# has at least 1.3 times the rings, and the error falls with their square.
+_HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
@@ -40,12 +45,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
-    # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
-    few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
-    predicted = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
-    size = next((k for k, error in enumerate(predicted) if error <= plan.tolerance / 2.0), None)
-    if size is None and (needed or footprint):
-        size = len(sizes) // 2
+    size = _first_size(plan, trial, target, needed=needed or footprint)
     best, least, w_basis_size = None, math.inf, 0
     sampled_error: float | None = None
     while size is not None:
@@ -63,14 +63,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if best is None:
             trial.update_floors(candidate)
         error = trial.validation_error(candidate)
-        if target < error <= 2.0 * plan.tolerance and not w_basis_size:
-            # More functions of w may help where more rings do not.
-            w_basis_size = candidate.w_basis_size
-            richer = trial.with_w_basis(candidate, W_BASIS_STEP)
-            if (richer_error := trial.validation_error(richer)) < error / 2.0:
-                candidate, error, w_basis_size = richer, richer_error, richer.w_basis_size
-        if error < least:
-            best, least = _measured(candidate, trial, error, truncation, table_cost, footprint=footprint), error
+        before, least = least, min(error, least)
+        if error < before:
+            best = _measured(candidate, trial, error, truncation, table_cost, footprint=footprint)
         if error <= target:
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
@@ -79,9 +74,25 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
+            if error < 2.0 * sampled_error:
                 continue
+        if error > _HELPS * before:
+            if w_basis_size:
+                break
+            # More rings do not help: more functions of w may.
+            w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
+            continue
         size = _next_size(sizes, size, error / target, candidate if needed else None)
     return best if needed or footprint or least <= target else None
+
+
+def _first_size(plan: Plan, trial: Trial, target: float, *, needed: bool) -> int | None:
+    """The index of the first size whose error is likely to be within the target; a middle one if a table is needed."""
+    # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
+    few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
+    sizes = polar_grid.table_sizes(plan.coherence)
+    errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
+    return next((k for k, error in enumerate(errors) if error <= target), len(sizes) // 2 if needed else None)
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:

@@ -21,7 +21,6 @@ from warpdiff.kernels.thresholds import FLOOR
 from warpdiff.optics.materials import reflectances
 from warpdiff.planner import cost_model, validation_directions
 from warpdiff.request.directions import order_rate
-from warpdiff.request.plan import MOST_W_BASIS
 from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.lookup import ColourLookup
 
@@ -244,14 +243,14 @@ class Trial:
             results.append(xyz.numpy())
         return np.asarray(results, dtype=np.float64)
 
-    def with_w_basis(self, plan: Plan, more: int = 0) -> Plan:
-        """A plan that says how many functions of w its table has, those for its tolerance or some more."""
+    def with_w_basis(self, plan: Plan) -> Plan:
+        """A plan that says how many functions of w its table has."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
             for light in self._illuminated
         ]
-        return dataclasses.replace(plan, w_basis_size=min(max(counts) + more, MOST_W_BASIS))
+        return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
         """Number of terms that the basis of a plan has."""
