@@ -6,5 +6,7 @@ HORIZON = 1e-6
 LOWEST = 0.0349
 # f: errors of what is darker are relative to so much of Y*.
 FLOOR = 1e-3
+# The share of directions or pixels whose error is to be within the tolerance, and percentile of Y that Y* is at least.
+PERCENTILE = 0.99
 # And never to nothing: the least normal float32.
 TINY = 2.0**-126

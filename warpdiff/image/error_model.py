@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.kernels.thresholds import FLOOR, TINY
+from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -78,7 +78,7 @@ def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32])
     if len(luminance):
         total = np.cumsum(luminance, dtype=np.float64)
         median = luminance[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
-        white = max(float(luminance[math.ceil(0.99 * len(luminance)) - 1]), float(median))
+        white = max(float(luminance[math.ceil(PERCENTILE * len(luminance)) - 1]), float(median))
     floor = max(FLOOR * white, TINY)
     return np.asarray(errors / np.maximum(lengths(xyz), floor), dtype=np.float32)
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Illuminant = str | Spectrum
 
+NM_PER_UM = 1e3
 # The visible range, over which colours are integrated [nm].
 LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
@@ -208,7 +209,7 @@ def uniform_quadrature(
     wavelengths = wavelengths_uniform_in_wavenumber(count)
     if geometric:
         wavelengths = np.geomspace(LAMBDA_MIN_NM, LAMBDA_MAX_NM, count)
-    wavenumbers, weights = 1e3 / wavelengths, quadrature_weights(wavelengths, illuminant)
+    wavenumbers, weights = NM_PER_UM / wavelengths, quadrature_weights(wavelengths, illuminant)
     wavenumbers.setflags(write=False)
     weights.setflags(write=False)
     return wavenumbers, weights

@@ -14,7 +14,7 @@ import numpy as np
 
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
-from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM, NM_PER_UM
 from warpdiff.planner import cost_model, trial
 from warpdiff.request.plan import AUTOMATIC, Plan
 from warpdiff.tables import coefficient_table
@@ -114,7 +114,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, as they are.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
-    wider = log_band * cost_model.NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
+    wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
     return order_rate, wider * cycles * heightfield.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 

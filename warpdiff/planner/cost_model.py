@@ -14,7 +14,7 @@ import numpy as np
 
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.kernels import coefficient_sum
-from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM, NM_PER_UM
 from warpdiff.tables import coefficient_table, mip_layout, polar_grid
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
-# Nanometres per micrometre [nm/µm]. Derived: units.
-NM_PER_UM = 1e3
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
 # Cost of a wavelength in addition to its sums, of a sample of the periods' factor, and of a term of the basis or of a

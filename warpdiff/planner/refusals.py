@@ -11,9 +11,8 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
-from warpdiff.optics.colorimetry import LAMBDA_MAX_NM
+from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, NM_PER_UM
 from warpdiff.planner import bounds
-from warpdiff.planner.cost_model import NM_PER_UM
 from warpdiff.planner.trial import SEARCH_SAFETY
 from warpdiff.request.plan import LABELS
 from warpdiff.tables import coefficient_table, polar_grid

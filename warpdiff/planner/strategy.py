@@ -22,6 +22,7 @@ from warpdiff.diffraction.phase_series import EXPANSIONS, check_cycles
 from warpdiff.heightfield import diagnostics
 from warpdiff.kernels import refinement_levels
 from warpdiff.optics import reflectance_factors
+from warpdiff.optics.colorimetry import NM_PER_UM
 from warpdiff.planner import bounds, coordinate_search, cost_model, refusals, table_ladder, trial
 from warpdiff.request.directions import (
     MOST_SAMPLED,
@@ -237,7 +238,7 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
         )  # fmt: skip
         terms = basis.terms_within(trial.NEGLIGIBLE_SHARE * plan.tolerance)
         plan = replace(plan, terms=terms, truncation=float(basis.truncation_errors[terms]))
-    highest = direction_range.max_uv * cost_model.NM_PER_UM / direction_range.lambda_min_nm
+    highest = direction_range.max_uv * NM_PER_UM / direction_range.lambda_min_nm
     return replace(plan, aliasing=diagnostics.folded_power(request.heightfield, highest))
 
 

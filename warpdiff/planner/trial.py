@@ -17,9 +17,10 @@ from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import coefficient_basis
 from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.kernels.thresholds import FLOOR
+from warpdiff.kernels.thresholds import FLOOR, PERCENTILE
+from warpdiff.optics.colorimetry import NM_PER_UM
 from warpdiff.optics.materials import reflectances
-from warpdiff.planner import cost_model, validation_directions
+from warpdiff.planner import validation_directions
 from warpdiff.request.directions import order_rate
 from warpdiff.tables import coefficient_table, colour_table
 from warpdiff.tables.lookup import ColourLookup
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Share of the directions whose errors a plan's error bounds. Derived: the definition of ``tolerance``.
-_PERCENTILE = 0.99
 # Tolerance over the error that a validation set may have. Fitted: a call's error exceeds that of its validation set by
 # this factor in one call of a hundred (bench.reproduce.tolerance_sweep).
 SEARCH_SAFETY = 1.6
@@ -45,8 +44,6 @@ DARK = 1e-10
 NEGLIGIBLE_SHARE = 1e-2
 # The amplitudes of the reference lose nothing in float32, however dark a coefficient is at small κ.
 REFERENCE_METHOD = "jacobi-anger"
-# Number of slices of the directions for each thread. Limit: directions are few, and every thread is to have some.
-_SLICES_OF_THREAD = 4
 # Number of wavelengths of a spectrum that are tried. Limit: they cost as much as directions.
 _SPECTRAL_SAMPLES = 64
 
@@ -119,8 +116,8 @@ class Trial:
         if wavelengths_nm is not None:
             self._points = min(_SPECTRAL_SAMPLES, len(wavelengths_nm))
             places = np.linspace(0, len(wavelengths_nm) - 1, self._points).astype(int)
-            self._wavenumbers = wp.array(cost_model.NM_PER_UM / wavelengths_nm[places], dtype=wp.float64, device=device)
-        self._gain = float(np.quantile(sample.gains, _PERCENTILE))
+            self._wavenumbers = wp.array(NM_PER_UM / wavelengths_nm[places], dtype=wp.float64, device=device)
+        self._gain = float(np.quantile(sample.gains, PERCENTILE))
         self._series_terms = plan.terms
         terms = coefficient_basis.series_terms(heightfield, direction_range.kappas)
         self.reference = dataclasses.replace(plan, method=REFERENCE_METHOD, terms=terms)
@@ -219,7 +216,8 @@ class Trial:
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
         """Values of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
-        slice_size = math.ceil(len(group) / self._threads / _SLICES_OF_THREAD)
+        # Two slices for each thread, which end at about the same time.
+        slice_size = math.ceil(len(group) / self._threads / 2.0)
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
                 self.heightfield, plan, self._range, device=self._device, threads=self._threads
@@ -232,7 +230,7 @@ class Trial:
             reflectance = np.asarray(values.numpy(), dtype=np.float64)
             reflectance = reflectance * reflectances(
                 self._illuminated[0].material, group.sample.scattering_vectors,
-                cost_model.NM_PER_UM / self._wavenumbers.numpy(),
+                NM_PER_UM / self._wavenumbers.numpy(),
             )  # fmt: skip
             return np.asarray(reflectance).reshape(1, -1, 1)
         lookup = ColourLookup(self.heightfield, plan, self._range, device=self._device, threads=self._threads)
@@ -286,7 +284,7 @@ def reference_luminance(
     luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True
 ) -> float:
     """How bright a call is: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
-    bright = _percentile(luminance, weights, _PERCENTILE)
+    bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
 
 
@@ -305,7 +303,7 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
     """Percentile 99.5 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # In a set, half as many directions as in a call may have a larger error: few directions represent shares badly.
-    share = 0.5 * (1.0 + _PERCENTILE)
+    share = 0.5 * (1.0 + PERCENTILE)
     return max(
         _percentile(row[mask & included], group.weights[mask & included], share)
         for row, above in zip(errors, group.above, strict=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.kernels.thresholds import TINY
-from warpdiff.planner.cost_model import NM_PER_UM
+from warpdiff.optics.colorimetry import NM_PER_UM
 from warpdiff.request.directions import order_rate, stratified
 from warpdiff.tables import coefficient_table
 

@@ -35,7 +35,9 @@ MIDDLE_UM = 0.55
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
 # |(u, v)| in standard deviations of a source, below which its blur is no range of angles and ratios.
 INNER_RADIUS_SPREADS = 30.0
-LOG_RED, LOG_BLUE = (math.log(1e3 / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM))
+LOG_RED, LOG_BLUE = (
+    math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
+)
 # Rings per octave, and azimuth samples per standard deviation of the blur that have about the same error.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Errors fall with this power of the number of rings.
