@@ -284,8 +284,10 @@ assert counts == [1], counts
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="this system does not list threads")
-@pytest.mark.parametrize("locks", [{}, {"_module_locks": None}, {"_module_locks": {"warp": object()}}])
-@pytest.mark.parametrize("lock", [None, object()])
+@pytest.mark.parametrize(
+    ("locks", "lock"),
+    [({}, None), ({"_module_locks": None}, object()), ({"_module_locks": {"warp": object()}}, None)],
+)
 def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(locks, lock, monkeypatch):
     """Both are private, and another version may have none or others; a fork then waits for less."""
     expected = picture()
