@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp
+from threadpoolctl import threadpool_limits
 
 import warpdiff as wd
 from warpdiff.core import forks
@@ -31,6 +32,14 @@ pytestmark = [
 ]
 _MOST_S = 90.0
 HERE = Path(__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def _linear_algebra_has_threads(monkeypatch):
+    """Here and in other processes, as it has for users: the test command allows one."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with threadpool_limits(limits=2, user_api="blas"):
+        yield
 
 
 def picture(angle=0.0):
