@@ -13,6 +13,8 @@ BROWSER_STAMP := $(VENV)/.stamp-browser
 DASK_STAMP := $(VENV)/.stamp-dask
 MITSUBA_STAMP := $(VENV)/.stamp-mitsuba
 MINUTES ?= 60
+# Workers share the cores: threads of linear algebra would wait for those of other workers, busily.
+PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -28,10 +30,10 @@ demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
 
 test: $(TEST_STAMP) ## run the tests
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	$(PYTEST_WORKERS)
 
 test-slow: $(TEST_STAMP) ## run the cases that take too long for make test
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m slow
+	$(PYTEST_WORKERS) -m slow
 
 test-browser: $(BROWSER_STAMP) ## test pages; needs Chromium (Debian: apt-get install chromium)
 	@test -n "$$CHROMIUM" || command -v chromium google-chrome >/dev/null || { echo "error: there is no Chromium: apt-get install chromium, or name one: make test-browser CHROMIUM=/path/to/chrome" >&2; exit 1; }

@@ -1,12 +1,17 @@
 """Fixtures: real inputs where they are present, devices, directions."""
 
+from __future__ import annotations
+
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import endurance
 import numpy as np
 import pytest
-import trimesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 # What tests compute is not kept in the user's folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
@@ -146,6 +151,9 @@ def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="session")
 def square() -> trimesh.Trimesh:
     """A flat square in the plane z = 0, of 2 a side, its x along +x."""
+    # It takes half a second, and tests that are distributed begin once this file is read.
+    import trimesh
+
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)

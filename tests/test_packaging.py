@@ -83,7 +83,8 @@ def build(kind: str, tree: Path, into: Path) -> Path:
 
 def install(wheel: Path, target: Path) -> Path:
     """Install a wheel alone."""
-    run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], target.parent)
+    options = ["--quiet", "--no-deps", "--no-compile", "--target", target]
+    run([sys.executable, "-m", "pip", "install", *options, wheel], target.parent)
     return target
 
 

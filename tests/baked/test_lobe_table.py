@@ -99,7 +99,7 @@ def test_more_is_kept_where_less_may_differ(fingers, lobes):
 
 
 def test_lobes_of_a_source_are_those_of_light_from_above():
-    bumps = wd.gratings.bumps(height_um=0.1)
+    bumps = wd.gratings.bumps(height_um=0.1, width_um=0.4, length_um=0.6, spacing_um=(1.0, 0.75))
     sun = wd.Coherence("source", angular_diameter_deg=6.0)
     baked = wd.bake(bumps, coherence=sun, delta_e=6.0)
     views = hemisphere(np.random.default_rng(7), 300)

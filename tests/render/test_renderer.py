@@ -164,15 +164,15 @@ def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
 def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
     size = (24, 18)
     drawn = wd.Renderer(painted, fingers, DISC, view(size=size), plan=plans["footprints"], threads=1)
-    for angle in (0.0, 0.3):
-        light = dataclasses.replace(DISC, to_light=(0.3 + angle, 0.8, 0.9), angular_diameter_deg=9.0 + angle)
-        drawn.draw(light, view(angle, size))
-        expected = wd.shade(painted, fingers, light, view(angle, size), plan=plans["footprints"])
-        found = drawn.image()
-        floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
-        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
-        assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance
-        assert np.mean(found.illuminated != expected.illuminated) <= 0.01
+    assert len(recorded) == 1
+    light = dataclasses.replace(DISC, to_light=(0.6, 0.8, 0.9), angular_diameter_deg=9.3)
+    drawn.draw(light, view(0.3, size))
+    expected = wd.shade(painted, fingers, light, view(0.3, size), plan=plans["footprints"])
+    found = drawn.image()
+    floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
+    differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
+    assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance
+    assert np.mean(found.illuminated != expected.illuminated) <= 0.01
     assert len(recorded) == 1
 
 

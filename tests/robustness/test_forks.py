@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp
+from threadpoolctl import threadpool_limits
 
 import warpdiff as wd
 from warpdiff.core import forks
@@ -31,6 +32,14 @@ pytestmark = [
 ]
 _MOST_S = 90.0
 HERE = Path(__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def _linear_algebra_has_threads(monkeypatch):
+    """Here and in other processes, as it has for users: the test command allows one."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with threadpool_limits(limits=2, user_api="blas"):
+        yield
 
 
 def picture(angle=0.0):
@@ -284,8 +293,10 @@ assert counts == [1], counts
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="this system does not list threads")
-@pytest.mark.parametrize("locks", [{}, {"_module_locks": None}, {"_module_locks": {"warp": object()}}])
-@pytest.mark.parametrize("lock", [None, object()])
+@pytest.mark.parametrize(
+    ("locks", "lock"),
+    [({}, None), ({"_module_locks": None}, object()), ({"_module_locks": {"warp": object()}}, None)],
+)
 def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(locks, lock, monkeypatch):
     """Both are private, and another version may have none or others; a fork then waits for less."""
     expected = picture()

@@ -163,7 +163,7 @@ class Environment(Checked, Light):
     def _maps(self) -> tuple[NDArray[np.float32], list[Sun]]:
         """Texels of :class:`SkyMaps`, but for window and scale, and suns.
 
-        They take a second, and do not depend on the rotation.
+        They require 0.2 s, and do not depend on the rotation.
         """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return maps_of(blurred_grids(grid)), suns
