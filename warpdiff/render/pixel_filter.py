@@ -2,8 +2,7 @@
 
 A pixel begins as one ray whose filter is the pixel's. Level n splits pixels into squares of 2ⁿ × 2ⁿ cells, each a ray
 with a filter of its own, and a pixel is a weighted sum over its own cells and those of the eight pixels around it. So a
-cell serves nine pixels, and a level is complete in itself: how far it differs from the one before is measured, and
-tells what it errs by.
+cell serves nine pixels. Second differences of 2 × 2 cells tell which level a pixel's cells need.
 """
 
 from __future__ import annotations
