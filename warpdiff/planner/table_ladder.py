@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# A larger table that has more than this share of the error of the best one before does not help. Derived: the next size
-# has at least 1.3 times the rings, and the error falls with their square.
+# A table helps if it has at most this share of the error of the one before, and at most twice the error that follows
+# from the order of convergence. Derived: the next size has at least 1.3 times the rings.
 _HELPS = 0.7
 
 
@@ -48,6 +48,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     size = _first_size(plan, trial, target, needed=needed or footprint)
     best, least, w_basis_size = None, math.inf, 0
     sampled_error: float | None = None
+    last_rings = 0
     while size is not None:
         rings, azimuths_per_width = sizes[size]
         candidate = trial.with_w_basis(
@@ -76,13 +77,14 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
             if error < 2.0 * sampled_error:
                 continue
-        if error > _HELPS * before:
-            if w_basis_size:
-                break
-            # More rings do not help: more functions of w may.
+        larger = _next_size(sizes, size, error / target, candidate if needed else None)
+        helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
+        last_rings = rings
+        if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
+            # More rings are not what the table needs, or there are none: more functions of w may be.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
-        size = _next_size(sizes, size, error / target, candidate if needed else None)
+        size = larger if helps else None
     return best if needed or footprint or least <= target else None
 
 
@@ -110,18 +112,19 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, nee
     """The next size if the present one's error exceeds the target by a factor, or None where no size will do.
 
     It is the first whose error fits by the order of convergence, but has at most twice the rings: small tables do not
-    converge by it yet. Where none fits, it is the largest that fits into memory, for a plan that needs a table.
+    converge by it yet. Where none fits, a plan that needs a table goes on with the largest of these.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))
+    within = [k for k in larger if sizes[k][0] <= 2 * rings]
     for k in larger:
         if excess * (rings / sizes[k][0]) ** polar_grid.ERROR_ORDER <= 1.0:
-            return min(k, max(j for j in range(size, len(sizes)) if sizes[j][0] <= 2 * rings))
+            return min(k, within[-1])
     if needed is None:
         return None
     fitting = [
         k
-        for k in larger
+        for k in within
         if mip_layout.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
         <= polar_grid.MOST_MEGABYTES
     ]
