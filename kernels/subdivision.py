@@ -13,6 +13,7 @@ CONVERGED = wp.constant(wp.uint8(2))
 # Bits of what the cells of a tile show, as kernels/native/cell_splats.h has them.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
+MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
 ERROR_ORDER = wp.constant(wp.float32(refinement_levels.ERROR_ORDER))
@@ -231,7 +232,7 @@ def splat_cells(
             black.
         changes_out: Differences of the means from the colours before, ‖ΔXYZ‖, of the base level.
         levels_out: Set to ``level``.
-        lighting_out: Bits ``LIT`` and ``UNLIT`` of the cells.
+        lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
@@ -291,7 +292,7 @@ def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.f
 def select_levels(
     # In:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
-    colours: wp.array(dtype=wp.vec3f), coverage: wp.array(dtype=wp.float64), width: wp.int32, height: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32,
     floor: wp.array(dtype=wp.float32), tolerance: wp.float32, base: wp.int32,
     most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
@@ -304,14 +305,13 @@ def select_levels(
         tiles: The tiles; empty is all of the picture that are chosen.
         marks: Which pixels of the picture use cells.
         colours: Colours of the picture by the cells of the base level.
-        coverage: Coverage by these cells.
         width: Pixels in a row.
         height: Rows.
         floor: Luminance that errors are relative to at least.
         tolerance: Error relative to the colour, or to the floor, that pixels may have.
         base: The base level.
         most: The finest level.
-        silhouette_level: Least level of tiles around pixels that are covered in part.
+        silhouette_level: Least level of tiles beside the mesh's silhouette.
         first: The first thread's index among ``tiles``.
         run: Number of tiles per thread.
         changes_out: Before, differences of tiles' means from the colours by one ray; after, estimated errors of 2 × 2
@@ -346,7 +346,6 @@ def select_levels(
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
         lighting = wp.uint8(0)
-        silhouette = wp.bool(False)
         for line in range(3):
             for side in range(3):
                 y = row + 1 - line
@@ -358,16 +357,14 @@ def select_levels(
                     if marks[there] != wp.uint8(0):
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
                         need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
-                        covered = coverage[there]
-                        if covered > wp.float64(0.0) and covered < wp.float64(1.0 - 1.0e-4):
-                            silhouette = True
-        if lighting == (LIT | UNLIT):
+        is_dark_in_part = (lighting & (UNLIT | MISSED)) != wp.uint8(0)
+        if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
         # Errors fall with the square of the number of cells along an axis. The nearest level in log2 is taken.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
-        if silhouette:
+        if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
             level = wp.max(level, wp.min(silhouette_level, most))
         chosen_out[pixel] = wp.uint8(level)
 
@@ -394,8 +391,8 @@ def resolve_pixels(
         run: Number of pixels per thread.
         colours_out: Colours times coverage.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Shares of cells that hit the mesh, of the finest level under any light.
-        coverage_levels_out: That level.
+        coverage_out: Shares of cells that hit the mesh, of the light with the finest cells.
+        coverage_levels_out: Sum of the levels of its nine tiles.
         illuminated_out: Set where any cell has a colour.
         edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
     """
@@ -412,6 +409,7 @@ def resolve_pixels(
         # there; alike, they are the filter together, and closer to it by themselves.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
+        all_levels = wp.int32(0)
         together = wp.vec4f()
         apart = wp.vec4f()
         weight_together = wp.float32(0.0)
@@ -423,6 +421,7 @@ def resolve_pixels(
                 level = wp.int32(sums.levels[there])
                 least = wp.min(least, level)
                 most = wp.max(most, level)
+                all_levels += level
                 share = FILTER_SHARES[line] * FILTER_SHARES[side]
                 per_weight = sums.filter_normalisation[level, line] * sums.filter_normalisation[level, side]
                 part = sums.filtered_sums[there, 3 * line + side]
@@ -440,12 +439,15 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = ERROR_PER_CHANGES * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
-        if sums.levels[own] >= coverage_levels_out[pixel]:
-            coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
-            coverage_levels_out[pixel] = sums.levels[own]
+        # Whichever light comes last.
+        coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
+        before = wp.int32(coverage_levels_out[pixel])
+        if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):
+            coverage_out[pixel] = coverage
+            coverage_levels_out[pixel] = wp.uint8(all_levels)
         if wp.length_sq(colour) > wp.float32(0.0):
             illuminated_out[pixel] = True
-            edges_out[pixel] = edges_out[pixel] or (sums.lighting[own] & UNLIT) != wp.uint8(0)
+            edges_out[pixel] = edges_out[pixel] or (sums.lighting[own] & (UNLIT | MISSED)) != wp.uint8(0)
 
 
 @wp.kernel

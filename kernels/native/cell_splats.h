@@ -6,8 +6,8 @@
 
 namespace warpdiff {
 
-// Bits of what the cells of a pixel show: any that is lit, and any that meets nothing or is not lit.
-constexpr unsigned char LIT = 1, UNLIT = 2;
+// Bits of what the cells of a pixel show: any that is lit, any that is not, and any that meets nothing.
+constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
 // Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
 // weights, and that of the weights; the mean colour of each quadrant; and the bits.
@@ -26,7 +26,7 @@ WARPDIFF_INLINE CellSums sum_cells(
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
         for (int column = 0; column < across; ++column, ++cell) {
-            sums.lighting |= hit[cell] != 0 && gains[cell] > 0.0f ? LIT : UNLIT;
+            sums.lighting |= hit[cell] == 0 ? MISSED : gains[cell] > 0.0f ? LIT : UNLIT;
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             float* const quadrant = sums.quadrants[2 * (2 * row >= across) + (2 * column >= across)];

@@ -40,7 +40,7 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
         np.testing.assert_allclose(quadrants.numpy()[5], is_base * means, rtol=1e-5)
         change = np.linalg.norm(means.mean(axis=0) - before[5])
         assert changes.numpy()[5] == pytest.approx(is_base * change, rel=1e-4)
-        assert lighting.numpy()[5] == (subdivision.LIT | subdivision.UNLIT if kind else subdivision.LIT)
+        assert lighting.numpy()[5] == (1, 1 | 4, 1 | 2)[kind]
         assert levels.numpy().tolist() == 5 * [0] + [level] + 3 * [0]
 
 
@@ -56,7 +56,8 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     for row, column in np.ndindex(height, width):
         near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
         near = [(y, x) for y, x in near if 0 <= y < height and 0 <= x < width]
-        if {1, 2} <= {int(bit) for place in near for bit in (1, 2) if lighting[place] & bit}:
+        shown = {bit for place in near for bit in (1, 2, 4) if lighting[place] & bit}
+        if {1} < shown:
             changes[row, column] *= refinement_levels.EDGE_FACTOR
         shares = refinement_levels.FILTER_SHARES
         need = max(
@@ -64,7 +65,8 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
              for y, x in near if marks[y, x]), default=0.0,
         )  # fmt: skip
         across = 2.0 * np.sqrt(refinement_levels.CAUTION * need * changes[row, column] / tolerance)
-        levels[row, column] = min(max(int(np.floor(np.log2(max(across, 1.0)) + 0.5)), 1), most)
+        least = 2 if 4 in shown and shown > {4} else 1
+        levels[row, column] = min(max(int(np.floor(np.log2(max(across, 1.0)) + 0.5)), least), most)
     return changes, levels
 
 
@@ -75,7 +77,8 @@ def test_levels_follow_from_second_differences(rng):
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
-    lighting = rng.choice([1, 2, 3], (height, width), p=[0.9, 0.05, 0.05])
+    lighting = rng.choice([1, 2, 3, 4, 5], (height, width), p=[0.9, 0.04, 0.02, 0.02, 0.02])
+    lighting[3:] = 1
     colours = quadrants.mean(axis=2)
     sums = subdivision.FilteredSums()
     sums.quadrants = array(quadrants.reshape(-1, 4, 3), wp.vec3f)
@@ -83,7 +86,7 @@ def test_levels_follow_from_second_differences(rng):
     changes, chosen = array(np.full(height * width, 1e9), wp.float32), array(np.ones(height * width), wp.uint8)
     inputs = [
         sums, array([], wp.int32), array(marks.ravel(), wp.uint8), array(colours.reshape(-1, 3), wp.vec3f),
-        array(np.ones(height * width), wp.float64), width, height, array([floor], wp.float32), tolerance, 1, 6, 2, 0,
+        width, height, array([floor], wp.float32), tolerance, 1, 6, 2, 0,
         height * width,
     ]  # fmt: skip
     wp.launch(subdivision.select_levels, (1, 1), inputs, [changes, chosen], device="cpu")

@@ -134,9 +134,9 @@ class LightRefinement:
 
     def select_levels(self, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
         """Return the call that selects the level of each tile."""
-        rays, policy, sums = self.light_pass.context.rays, self.policy, self.sums
+        rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            group.sums, group.tiles, marks, sums.xyz, sums.coverage, rays.width, rays.height, floor, policy.tolerance,
+            group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance,
             policy.base_level, policy.most_level, policy.silhouette_level,
         ]  # fmt: skip
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
