@@ -25,7 +25,7 @@ CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # What finer cells change a tile by is predicted from second differences between quadrants. Tiles among which some cells
 # are lit and some are not are taken to change by more, and levels are chosen with so much caution. Fitted to the snake;
 # judged on other bodies and surfaces (docs/decisions/adaptive_sampling.md).
-CAUTION, EDGE_FACTOR = 1.8, 1.5
+CAUTION, EDGE_FACTOR = 2.0, 1.5
 # Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
