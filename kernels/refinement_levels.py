@@ -22,17 +22,13 @@ LEAST_LEVEL_OF_POINTS = 2
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# Of others: over the difference of their last two levels; at least so much of what they were said to err by before, and
-# of what the nine pixels' cells change by, as if these did not depend on each other, for levels may agree by chance.
-ERROR_PER_DIFFERENCE, LEAST_ERROR_PER_LAST, ERROR_PER_CHANGES = 0.65, 0.1, 0.1
-# Pixels of each level are split whose error, times so much, is above the tolerance: the first cells may well agree with
-# the pixel's ray where both are wrong, and the finest take as long as all others.
-THRESHOLD_DIVISOR = 1.0, 2.5, 1.4, 1.4, 1.0, 1.0
-# What cells change by is taken to be so much at least of what was expected, or of what the level before changed, where
-# it is asked which are split again.
-MIN_CONTRACTION = 0.15
-# Of an error that is too large, what the cells of one of nine pixels change it by, that they are split again.
-SPLIT_AGAIN_SHARE = 1.0 / 8.0
+# What finer cells change a tile by is predicted from second differences between quadrants. Tiles among which some cells
+# are lit and some are not are taken to change by more, and levels are chosen with so much caution. Fitted to the snake;
+# judged on other bodies and surfaces (docs/decisions/adaptive_sampling.md).
+CAUTION, EDGE_FACTOR = 2.0, 1.5
+# Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
+# squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
+ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
 BRIGHTEST_SHARE = 0.01
 

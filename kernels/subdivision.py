@@ -10,6 +10,14 @@ wp.set_module_options(compile_options.options("cell_splats.h"))
 # all others.
 ACTIVE = wp.constant(wp.uint8(1))
 CONVERGED = wp.constant(wp.uint8(2))
+# Bits of what the cells of a tile show, as kernels/native/cell_splats.h has them.
+LIT = wp.constant(wp.uint8(1))
+UNLIT = wp.constant(wp.uint8(2))
+MISSED = wp.constant(wp.uint8(4))
+CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
+EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
+ERROR_ORDER = wp.constant(wp.float32(refinement_levels.ERROR_ORDER))
+ERROR_PER_CHANGES = wp.constant(wp.float32(refinement_levels.ERROR_PER_CHANGES))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
@@ -179,17 +187,16 @@ def add_penumbra_error(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, errors_before, ranks, weights, level, "
-    f"{refinement_levels.MIN_CONTRACTION}f, begin, end, filtered_sums_out, means_out, level_difference_out, "
-    "levels_out, has_edge_out);"
+    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, begin, end, "
+    "filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
 )
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
-    errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
-    level: wp.int32, begin: wp.int32, end: wp.int32, filtered_sums_out: wp.array2d(dtype=wp.vec4f),
-    means_out: wp.array(dtype=wp.vec3f), level_difference_out: wp.array(dtype=wp.float32),
-    levels_out: wp.array(dtype=wp.uint8), has_edge_out: wp.array(dtype=wp.bool),
+    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, begin: wp.int32, end: wp.int32,
+    filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
+    changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
+    lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Filtered sums of pixels one after the other."""
 
@@ -198,52 +205,53 @@ def splat_cells_run(
 def splat_cells(
     # In:
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f),
-    errors_before: wp.array(dtype=wp.float32), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
-    level: wp.int32, first: wp.int32, run: wp.int32,
+    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, first: wp.int32, run: wp.int32,
     # Out:
-    filtered_sums_out: wp.array2d(dtype=wp.vec4f), means_out: wp.array(dtype=wp.vec3f),
-    level_difference_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
-    has_edge_out: wp.array(dtype=wp.bool),
+    filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
+    changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
+    lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Splat a pixel's cells through the filter: what they add to that pixel and to the eight around it.
+    """Splat the cells of pixels through the filter: what they add to these pixels and to the eight around each.
 
     Args:
-        colours: Those of the cells, pixel after pixel and row by row.
-        hit: Whether they meet the mesh.
-        gains: 0 where they are not lit, by the last of several lobes.
-        pixels: Whose they are; −1 is none.
-        colours_before: Of the picture's pixels by one ray each.
-        errors_before: Theirs.
-        ranks: Where in what is found each pixel of the picture comes; empty is its own number.
-        weights: By how far, along one axis, a cell is from the middle pixel of three, (3 · 2ⁿ,).
-        level: Which this one is.
-        first: The first thread's place among ``pixels``.
-        run: How many a thread takes.
+        colours: Colours of the cells, pixel after pixel and row by row.
+        hit: Whether the cells hit the mesh.
+        gains: Geometry factors of the last lobe; 0 where the cells are not lit.
+        pixels: The pixels; −1 is none.
+        colours_before: Colours of the picture by one ray per pixel.
+        ranks: By pixel of the picture, its index in the outputs; empty is its own number.
+        weights: Weights of cells along one axis for the middle one of three pixels, (3 · 2ⁿ,).
+        level: The level n of the cells.
+        is_base: Whether this level comes first, and shows what others would change.
+        first: The first thread's index among ``pixels``.
+        run: Number of pixels per thread.
         filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
             that lies 1 − i rows below and 1 − j columns to the right.
-        means_out: Means over the cells, those of the level before.
-        level_difference_out: How far these are apart; at first, from the pixel's one ray.
+        quadrants_out: Mean colours of the quadrants, row by row, (n, 4), of the base level; cells that hit nothing are
+            black.
+        changes_out: Differences of the means from the colours before, ‖ΔXYZ‖, of the base level.
         levels_out: Set to ``level``.
-        has_edge_out: Whether any cell meets nothing or is not lit.
+        lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, gains, pixels, colours_before, errors_before, ranks, weights, level, begin, begin + run,
-        filtered_sums_out, means_out, level_difference_out, levels_out, has_edge_out,
+        colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, begin, begin + run,
+        filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out,
     )  # fmt: skip
 
 
 @wp.struct
 class FilteredSums:
-    """Filtered sums of split pixels for themselves and for those around them, as ``splat_cells`` finds them."""
+    """What the cells of tiles give to their own pixels and to those around them, as ``splat_cells`` finds it."""
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
-    means: wp.array(dtype=wp.vec3f)
-    level_difference: wp.array(dtype=wp.float32)
+    quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
-    has_edge: wp.array(dtype=wp.bool)
+    lighting: wp.array(dtype=wp.uint8)
+    # Estimated errors of 2 × 2 cells, as ``select_levels`` finds them.
+    changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # By level, what the filter has in each of three pixels over the weights'.
     filter_normalisation: wp.array2d(dtype=wp.float32)
@@ -251,7 +259,7 @@ class FilteredSums:
 
 @wp.func
 def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
-    """Where a pixel of the picture comes."""
+    """Return the index of a pixel of the picture in the sums."""
     result = pixel
     if ranks.shape[0] > 0:
         result = ranks[pixel]
@@ -259,156 +267,56 @@ def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
 
 
 @wp.func
-def levels_around(sums: FilteredSums, row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2i:
-    """The least and the largest level of a pixel's nine parts, its own and those of the pixels around."""
-    least = wp.int32(refinement_levels.MOST_LEVEL)
-    most = wp.int32(0)
-    for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
-        for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
-            level = wp.int32(sums.levels[compact_index(sums.ranks, (row + line - 1) * width + column + side - 1)])
-            least = wp.min(least, level)
-            most = wp.max(most, level)
-    return wp.vec2i(least, most)
+def quadrant_at(
+    sums: FilteredSums, chosen: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
+    height: wp.int32, own: wp.vec3f,
+) -> wp.vec4f:  # fmt: skip
+    """The colour of a quadrant by its row and column in the picture, and 1; ``own`` and 0 where no tile has it."""
+    result = wp.vec4f(own[0], own[1], own[2], 0.0)
+    if row >= 0 and row < 2 * height and column >= 0 and column < 2 * width:
+        pixel = (row // 2) * width + column // 2
+        if chosen[pixel] != wp.uint8(0):
+            colour = sums.quadrants[compact_index(sums.ranks, pixel), 2 * (row % 2) + column % 2]
+            result = wp.vec4f(colour[0], colour[1], colour[2], 1.0)
+    return result
+
+
+@wp.func
+def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
+    """The square of the second difference of colours in a row; 0 if one of them is missing."""
+    second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
+    return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
 
 @wp.kernel
-def resolve_pixels(
-    # In:
-    sums: FilteredSums, pixels: wp.array(dtype=wp.int32), width: wp.int32, height: wp.int32,
-    floor: wp.array(dtype=wp.float32), bound: wp.float32, converged_bound: wp.float32, level: wp.int32,
-    must_subdivide: wp.bool, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
-    colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
-    coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
-    illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool), marks_out: wp.array(dtype=wp.uint8),
-):  # fmt: skip
-    """Set pixels to what cells give them; by how much that changed with the last levels is what they may err by.
-
-    Args:
-        sums: What the cells give.
-        pixels: Those that are marked; empty is all of the picture.
-        width: Pixels in a row.
-        height: Rows.
-        floor: What errors are relative to at least.
-        bound: As ``estimate_errors`` has it.
-        converged_bound: The same of those that had converged.
-        level: The last one.
-        must_subdivide: Whether all of them are split again.
-        silhouette_level: To which those that are covered in part are split at least.
-        first: The first thread's place among ``pixels``.
-        run: How many a thread takes.
-        colours_out: Colours before, and now, times coverage.
-        errors_out: ‖ΔXYZ‖, before and now.
-        coverage_out: Shares of cells that meet the mesh, of the last level under any light.
-        coverage_levels_out: That level.
-        illuminated_out: Set where any cell has a colour.
-        edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
-        marks_out: ``ACTIVE`` for those to be split again, ``CONVERGED`` for others that are marked.
-    """
-    thread, _ = wp.tid()
-    for k in range(first + thread * run, first + (thread + 1) * run):
-        pixel = k
-        if pixels.shape[0] > 0:
-            pixel = pixels[k]
-        mark = marks_out[pixel]
-        # What has settled takes the cells that are there for the sake of those beside it, if its own are among them.
-        if mark == wp.uint8(0) or (
-            mark == CONVERGED and wp.int32(sums.levels[compact_index(sums.ranks, pixel)]) < level
-        ):
-            continue
-        row = pixel // width
-        column = pixel % width
-        # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
-        # there; alike, they are the filter together, and closer to it by themselves.
-        levels = levels_around(sums, row, column, width, height)
-        if levels[1] < level:
-            # None of its parts still changes by much.
-            marks_out[pixel] = CONVERGED
-            continue
-        total = wp.vec4f()
-        weight = wp.float32(0.0)
-        rest = wp.float32(0.0)
-        square = wp.float32(0.0)
-        for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
-            for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
-                there = compact_index(sums.ranks, (row + line - 1) * width + column + side - 1)
-                cell_level = wp.int32(sums.levels[there])
-                share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                per_weight = sums.filter_normalisation[cell_level, line] * sums.filter_normalisation[cell_level, side]
-                change = share * sums.level_difference[there]
-                square += change * change
-                if cell_level < level:
-                    rest += change
-                if levels[0] == levels[1]:
-                    weight += share / per_weight
-                    total += sums.filtered_sums[there, 3 * line + side]
-                else:
-                    weight += share
-                    total += per_weight * sums.filtered_sums[there, 3 * line + side]
-        # Of what there is of the picture.
-        total = total / weight
-        colour = wp.vec3f(total[0], total[1], total[2])
-        # What was not split again is still wrong by a part of what it changed by last.
-        error = wp.max(
-            wp.static(wp.float32(refinement_levels.ERROR_PER_DIFFERENCE))
-            * (wp.length(colour - colours_out[pixel]) + rest),
-            wp.max(
-                wp.static(wp.float32(refinement_levels.ERROR_PER_CHANGES)) * wp.sqrt(square),
-                wp.static(wp.float32(refinement_levels.LEAST_ERROR_PER_LAST)) * errors_out[pixel],
-            ),
-        )
-        limit = bound
-        if mark == CONVERGED:
-            limit = converged_bound
-            if levels[0] < level:
-                # Parts of it are as they were.
-                error = wp.max(wp.max(error, wp.length(colour - colours_out[pixel]) + rest), errors_out[pixel])
-        colours_out[pixel] = colour
-        errors_out[pixel] = error
-        if level >= wp.int32(coverage_levels_out[pixel]):
-            coverage_out[pixel] = wp.float64(wp.min(total[3], wp.float32(1.0)))
-            coverage_levels_out[pixel] = wp.uint8(level)
-        if wp.length_sq(colour) > wp.float32(0.0):
-            illuminated_out[pixel] = True
-            edges_out[pixel] = edges_out[pixel] or sums.has_edge[compact_index(sums.ranks, pixel)]
-        silhouette = (
-            level < silhouette_level and total[3] > wp.float32(0.0) and total[3] < wp.float32(1.0) - wp.float32(1.0e-4)
-        )
-        # What has settled may be told to err by more when it takes such cells, and goes on then.
-        if error > limit * wp.max(wp.length(colour), floor[0]):
-            marks_out[pixel] = ACTIVE
-        elif not must_subdivide and not silhouette:
-            marks_out[pixel] = CONVERGED
-
-
-@wp.kernel
-def select_cells(
+def select_levels(
     # In:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
-    colours: wp.array(dtype=wp.vec3f), coverage: wp.array(dtype=wp.float64), width: wp.int32, height: wp.int32,
-    floor: wp.array(dtype=wp.float32), bound: wp.float32, level: wp.int32, must_subdivide: wp.bool,
-    silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32,
+    floor: wp.array(dtype=wp.float32), tolerance: wp.float32, base: wp.int32,
+    most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
-    chosen_out: wp.array(dtype=wp.uint8),
+    changes_out: wp.array(dtype=wp.float32), chosen_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Whether pixels are split again: those by whose cells any pixel around that is wanted changes much.
+    """Predict by second differences what finer cells would change, and select the level of each tile at once.
 
     Args:
-        sums: What the cells give.
-        tiles: Pixels that were split last; empty is all of the picture that are chosen.
-        marks: Which pixels are yet to be told better.
-        colours: Of the picture.
-        coverage: Of the picture.
+        sums: What the cells of the base level give.
+        tiles: The tiles; empty is all of the picture that are chosen.
+        marks: Which pixels of the picture use cells.
+        colours: Colours of the picture by the cells of the base level.
         width: Pixels in a row.
         height: Rows.
-        floor: What errors are relative to at least.
-        bound: As ``estimate_errors`` has it.
-        level: The last one.
-        must_subdivide: Whether all of them are.
-        silhouette_level: As ``resolve_pixels`` has it.
-        first: The first thread's place among ``tiles``.
-        run: How many a thread takes.
-        chosen_out: By pixel of the picture, whether it was and is.
+        floor: Luminance that errors are relative to at least.
+        tolerance: Error relative to the colour, or to the floor, that pixels may have.
+        base: The base level.
+        most: The finest level.
+        silhouette_level: Least level of tiles beside the mesh's silhouette.
+        first: The first thread's index among ``tiles``.
+        run: Number of tiles per thread.
+        changes_out: Before, differences of tiles' means from the colours by one ray; after, estimated errors of 2 × 2
+            cells, ‖ΔXYZ‖.
+        chosen_out: By pixel of the picture, the level of its tile; 0 has none before and after.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -420,32 +328,126 @@ def select_cells(
         rank = compact_index(sums.ranks, pixel)
         row = pixel // width
         column = pixel % width
-        chosen = wp.uint8(0)
+        square = wp.float32(0.0)
+        for quadrant in range(4):
+            own = sums.quadrants[rank, quadrant]
+            y = 2 * row + quadrant // 2
+            x = 2 * column + quadrant % 2
+            square += second_difference2(
+                quadrant_at(sums, chosen_out, y - 1, x, width, height, own), own,
+                quadrant_at(sums, chosen_out, y + 1, x, width, height, own),
+            )  # fmt: skip
+            square += second_difference2(
+                quadrant_at(sums, chosen_out, y, x - 1, width, height, own), own,
+                quadrant_at(sums, chosen_out, y, x + 1, width, height, own),
+            )  # fmt: skip
+        # The root mean square over the quadrants, for the distance of whole pixels.
+        second = 0.5 * wp.sqrt(0.25 * square)
+        change = wp.clamp(changes_out[rank], 0.5 * second, second)
+        need = wp.float32(0.0)
+        lighting = wp.uint8(0)
         for line in range(3):
             for side in range(3):
                 y = row + 1 - line
                 x = column + 1 - side
                 if y >= 0 and y < height and x >= 0 and x < width:
                     there = y * width + x
-                    if marks[there] == ACTIVE:
+                    if chosen_out[there] != wp.uint8(0):
+                        lighting = lighting | sums.lighting[compact_index(sums.ranks, there)]
+                    if marks[there] != wp.uint8(0):
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                        change = share * sums.level_difference[rank]
-                        least = (
-                            wp.static(
-                                wp.float32(refinement_levels.SPLIT_AGAIN_SHARE / refinement_levels.ERROR_PER_DIFFERENCE)
-                            )
-                            * bound
-                            * wp.max(wp.length(colours[there]), floor[0])
-                        )
-                        covered = coverage[there]
-                        silhouette = (
-                            level < silhouette_level
-                            and covered > wp.float64(0.0)
-                            and covered < wp.float64(1.0 - 1.0e-4)
-                        )
-                        if must_subdivide or silhouette or change > least:
-                            chosen = wp.uint8(1)
-        chosen_out[pixel] = chosen
+                        need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
+        is_dark_in_part = (lighting & (UNLIT | MISSED)) != wp.uint8(0)
+        if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
+            change = change * EDGE_FACTOR
+        changes_out[rank] = change
+        # Errors fall with the square of the number of cells along an axis. The nearest level in log2 is taken.
+        cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
+        level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
+        if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
+            level = wp.max(level, wp.min(silhouette_level, most))
+        chosen_out[pixel] = wp.uint8(level)
+
+
+@wp.kernel
+def resolve_pixels(
+    # In:
+    sums: FilteredSums, pixels: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8), width: wp.int32,
+    height: wp.int32, first: wp.int32, run: wp.int32,
+    # Out:
+    colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
+    coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
+    illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """Set pixels to what the cells of their nine tiles give, and estimate their errors.
+
+    Args:
+        sums: What the cells give.
+        pixels: The pixels that use cells; empty is all of the picture that are marked.
+        marks: Which pixels of the picture use cells.
+        width: Pixels in a row.
+        height: Rows.
+        first: The first thread's index among ``pixels``.
+        run: Number of pixels per thread.
+        colours_out: Colours times coverage.
+        errors_out: Estimated errors, ‖ΔXYZ‖.
+        coverage_out: Shares of cells that hit the mesh, of the light with the finest cells.
+        coverage_levels_out: Sum of the levels of its nine tiles.
+        illuminated_out: Set where any cell has a colour.
+        edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
+    """
+    thread, _ = wp.tid()
+    for k in range(first + thread * run, first + (thread + 1) * run):
+        pixel = k
+        if pixels.shape[0] > 0:
+            pixel = pixels[k]
+        if marks[pixel] == wp.uint8(0):
+            continue
+        row = pixel // width
+        column = pixel % width
+        # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
+        # there; alike, they are the filter together, and closer to it by themselves.
+        least = wp.int32(refinement_levels.MOST_LEVEL)
+        most = wp.int32(0)
+        all_levels = wp.int32(0)
+        together = wp.vec4f()
+        apart = wp.vec4f()
+        weight_together = wp.float32(0.0)
+        weight_apart = wp.float32(0.0)
+        square = wp.float32(0.0)
+        for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
+            for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
+                there = compact_index(sums.ranks, (row + line - 1) * width + column + side - 1)
+                level = wp.int32(sums.levels[there])
+                least = wp.min(least, level)
+                most = wp.max(most, level)
+                all_levels += level
+                share = FILTER_SHARES[line] * FILTER_SHARES[side]
+                per_weight = sums.filter_normalisation[level, line] * sums.filter_normalisation[level, side]
+                part = sums.filtered_sums[there, 3 * line + side]
+                together += part
+                weight_together += share / per_weight
+                apart += per_weight * part
+                weight_apart += share
+                error = share * sums.changes[there] * wp.pow(0.5, ERROR_ORDER * wp.float32(level - 1))
+                square += error * error
+        # Of what there is of the picture.
+        total = together / weight_together
+        if least != most:
+            total = apart / weight_apart
+        colour = wp.vec3f(total[0], total[1], total[2])
+        colours_out[pixel] = colour
+        errors_out[pixel] = ERROR_PER_CHANGES * wp.sqrt(square)
+        own = compact_index(sums.ranks, pixel)
+        # Whichever light comes last.
+        coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
+        before = wp.int32(coverage_levels_out[pixel])
+        if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):
+            coverage_out[pixel] = coverage
+            coverage_levels_out[pixel] = wp.uint8(all_levels)
+        if wp.length_sq(colour) > wp.float32(0.0):
+            illuminated_out[pixel] = True
+            edges_out[pixel] = edges_out[pixel] or (sums.lighting[own] & (UNLIT | MISSED)) != wp.uint8(0)
 
 
 @wp.kernel

@@ -103,13 +103,15 @@ def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int
 @wp.kernel
 def dilate_marks(
     # In:
-    marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
+    marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, level: wp.uint8, first: wp.int32,
+    run: wp.int32,
     # Out:
-    marks_out: wp.array(dtype=wp.uint8),
+    levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark the pixels that are marked and those around them."""
+    """Give a level to the pixels that are marked and to those around them, and 0 to others."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        marks_out[i] = marks_around(marks, i, width, height)[1]
+        is_near = marks_around(marks, i, width, height)[1] != wp.uint8(0)
+        levels_out[i] = wp.where(is_near, level, wp.uint8(0))
 
 
 @wp.kernel
@@ -128,13 +130,13 @@ def mark_interior(
 @wp.kernel
 def compact_marks(
     # In:
-    marks: wp.array(dtype=wp.uint8), first: wp.int32, run: wp.int32,
+    levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
     # Out:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """The pixels that are marked, in whatever order: none depends on those beside it."""
+    """The pixels of a level, in whatever order: none depends on those beside it."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        if marks[i] != wp.uint8(0):
+        if levels[i] == level:
             pixels_out[atomic_increment(counts_out, 0)] = i
 
 

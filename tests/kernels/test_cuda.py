@@ -38,7 +38,7 @@ KERNELS = {
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
                       "add_light_rotation", "add_light_extent"},
     "sky_sum": {"add_sky", "mirror_directions"},
-    "subdivision": {"accumulate", "add_occluded_power", "add_penumbra_error", "select_cells",
+    "subdivision": {"accumulate", "add_occluded_power", "add_penumbra_error", "select_levels",
                     "resolve_pixels", "estimate_errors", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
     "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_marks", "dilate_marks",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpdiff.kernels import subdivision
+from warpdiff.kernels import refinement_levels, subdivision
 
 
 def array(values, dtype):
@@ -12,7 +12,8 @@ def array(values, dtype):
 
 
 @pytest.mark.parametrize("level", [1, 2])
-def test_cells_add_up_by_the_filter_along_rows_and_columns(level, rng):
+@pytest.mark.parametrize("is_base", [True, False])
+def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
     """Pixel 5 of nine is split; one cell after the other is lit, meets nothing, or is not lit."""
     across = 2**level
     weights = rng.uniform(size=(3, across))
@@ -22,26 +23,79 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, rng):
         kind = cell % 3
         hit[cell], gains[cell] = kind != 1, kind != 2
         before = rng.uniform(size=(9, 3)).astype(np.float32)
-        sums, means = wp.zeros((9, 9), dtype=wp.vec4f, device="cpu"), wp.zeros(9, dtype=wp.vec3f, device="cpu")
-        difference = wp.zeros(9, dtype=wp.float32, device="cpu")
-        levels = wp.zeros(9, dtype=wp.uint8, device="cpu")
-        has_edge = wp.zeros(9, dtype=wp.bool, device="cpu")
+        sums, quadrants = wp.zeros((9, 9), dtype=wp.vec4f, device="cpu"), wp.zeros((9, 4), dtype=wp.vec3f, device="cpu")
+        changes = wp.zeros(9, dtype=wp.float32, device="cpu")
+        levels, lighting = (wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))
         inputs = [
             array(colours, wp.vec3f), array(hit, wp.int32), array(gains, wp.float32), array([5], wp.int32),
-            array(before, wp.vec3f), array(np.full(9, 1e-6), wp.float32), array([], wp.int32),
-            array(weights.ravel(), wp.float32), level, 0, 1,
+            array(before, wp.vec3f), array([], wp.int32), array(weights.ravel(), wp.float32), level, is_base, 0, 1,
         ]  # fmt: skip
-        outputs = [sums, means, difference, levels, has_edge]
+        outputs = [sums, quadrants, changes, levels, lighting]
         wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
-        values = np.column_stack([colours, np.ones(across**2)]) * hit[:, None]
-        expected = np.einsum("ir,jc,rcx->ijx", weights, weights, values.reshape(across, across, 4))
+        values = (np.column_stack([colours, np.ones(across**2)]) * hit[:, None]).reshape(across, across, 4)
+        expected = np.einsum("ir,jc,rcx->ijx", weights, weights, values)
         np.testing.assert_allclose(sums.numpy()[5], expected.reshape(9, 4), rtol=1e-5)
-        mean = values[:, :3].mean(axis=0)
-        np.testing.assert_allclose(means.numpy()[5], mean, rtol=1e-5)
-        if level == 1:
-            assert difference.numpy()[5] == pytest.approx(np.linalg.norm(mean - before[5]), rel=1e-4)
-        assert has_edge.numpy()[5] == (kind > 0)
+        half = across // 2
+        means = values[..., :3].reshape(2, half, 2, half, 3).mean(axis=(1, 3)).reshape(4, 3)
+        np.testing.assert_allclose(quadrants.numpy()[5], is_base * means, rtol=1e-5)
+        change = np.linalg.norm(means.mean(axis=0) - before[5])
+        assert changes.numpy()[5] == pytest.approx(is_base * change, rel=1e-4)
+        assert lighting.numpy()[5] == (1, 1 | 4, 1 | 2)[kind]
         assert levels.numpy().tolist() == 5 * [0] + [level] + 3 * [0]
+
+
+def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
+    """What ``select_levels`` finds of a picture whose tiles all have cells, tile by tile."""
+    height, width = marks.shape
+    cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
+    square = np.zeros(cells.shape[:2])
+    square[1:-1] += np.sum((cells[2:] - 2.0 * cells[1:-1] + cells[:-2]) ** 2, axis=2)
+    square[:, 1:-1] += np.sum((cells[:, 2:] - 2.0 * cells[:, 1:-1] + cells[:, :-2]) ** 2, axis=2)
+    changes = 0.5 * np.sqrt(square.reshape(height, 2, width, 2).mean(axis=(1, 3)))
+    levels = np.zeros(marks.shape, dtype=int)
+    for row, column in np.ndindex(height, width):
+        near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
+        near = [(y, x) for y, x in near if 0 <= y < height and 0 <= x < width]
+        shown = {bit for place in near for bit in (1, 2, 4) if lighting[place] & bit}
+        if {1} < shown:
+            changes[row, column] *= refinement_levels.EDGE_FACTOR
+        shares = refinement_levels.FILTER_SHARES
+        need = max(
+            (shares[row - y + 1] * shares[column - x + 1] / max(np.linalg.norm(colours[y, x]), floor)
+             for y, x in near if marks[y, x]), default=0.0,
+        )  # fmt: skip
+        across = 2.0 * np.sqrt(refinement_levels.CAUTION * need * changes[row, column] / tolerance)
+        least = 2 if 4 in shown and shown > {4} else 1
+        levels[row, column] = min(max(int(np.floor(np.log2(max(across, 1.0)) + 0.5)), least), most)
+    return changes, levels
+
+
+def test_levels_follow_from_second_differences(rng):
+    height, width, floor, tolerance = 7, 9, 0.5, 0.05
+    quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
+    # Colours that change along a line by equal steps need no finer cells.
+    x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
+    quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
+    marks = rng.uniform(size=(height, width)) < 0.8
+    lighting = rng.choice([1, 2, 3, 4, 5], (height, width), p=[0.9, 0.04, 0.02, 0.02, 0.02])
+    lighting[3:] = 1
+    colours = quadrants.mean(axis=2)
+    sums = subdivision.FilteredSums()
+    sums.quadrants = array(quadrants.reshape(-1, 4, 3), wp.vec3f)
+    sums.lighting = array(lighting.ravel().astype(np.uint8), wp.uint8)
+    changes, chosen = array(np.full(height * width, 1e9), wp.float32), array(np.ones(height * width), wp.uint8)
+    inputs = [
+        sums, array([], wp.int32), array(marks.ravel(), wp.uint8), array(colours.reshape(-1, 3), wp.vec3f),
+        width, height, array([floor], wp.float32), tolerance, 1, 6, 2, 0,
+        height * width,
+    ]  # fmt: skip
+    wp.launch(subdivision.select_levels, (1, 1), inputs, [changes, chosen], device="cpu")
+    expected, levels = levels_by_hand(quadrants.astype(float), marks, colours, lighting, floor, tolerance, 6)
+    np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
+    assert len(np.unique(levels[:2])) > 2
+    # Where the colours beside are a line's, too.
+    assert np.all(levels[4:, :] == 1)
 
 
 def test_each_pixel_of_all_threads_gets_a_lights_share_once(rng):

@@ -268,7 +268,9 @@ def test_cells_stand_for_the_filter(level, means):
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
         exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
-        np.testing.assert_allclose(ours, exact, atol=0.05 * exact.max())
+        # A sum of Gaussians that are s of their distance wide has ripples of 2 exp(−2π²s²), and the filter is cut off.
+        ripples = 2.0 * np.exp(-2.0 * (np.pi * deviation * 2**level) ** 2)
+        np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
 
 # Of the filter, what a pixel that is aslant has over what one beside has.

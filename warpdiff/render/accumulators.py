@@ -17,7 +17,7 @@ class Accumulators:
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Sums of hits; all lights share this array.
-        coverage_levels: Level of the cells that the coverage is from; empty for points, shared likewise.
+        coverage_levels: Sum of the levels of the tiles that the coverage is from; empty for points, shared likewise.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty for points.
         edges: Whether an edge passes through the pixel, as its cells show; all lights share this array.

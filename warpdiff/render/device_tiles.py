@@ -39,8 +39,8 @@ class DeviceTiles:
         self._device, self._pixels, self._shape = device, rays.size, [rays.width, rays.height]
         self._options: dict[str, Any] = {**rays.options, "slice_size": SLICE}
         self._histogram, self.floor = empty(tile_lists.GROUPS * (1 + tile_lists.BINS)), empty(1, wp.float32)
-        self.marks, chosen, everywhere = empty(rays.size, wp.uint8), empty(rays.size, wp.uint8), empty(0)
-        self._group = TileGroup(everywhere, everywhere, light.empty_tile_sums(rays.size), chosen, (0.0, 1.0))
+        self.marks, levels, everywhere = empty(rays.size, wp.uint8), empty(rays.size, wp.uint8), empty(0)
+        self._group = TileGroup(everywhere, everywhere, light.empty_tile_sums(rays.size), levels, (0.0, 1.0))
         self._tiles, self._tile_count = empty(rays.size), empty(1)
         self._marked_count, self._largest_count = empty(1), wp.zeros(1, dtype=wp.int32, device=device)
         self._offset, self._remaining = empty(1), empty(1)
@@ -76,27 +76,24 @@ class DeviceTiles:
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
-    def groups(self, light: LightRefinement) -> Iterator[TileGroup]:  # noqa: ARG002 (of the host)
+    def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
         """Yield the whole picture, with the marked pixels and those around as tiles."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
-        self._launch(tile_lists.dilate_marks, [self.marks, *self._shape], [self._group.chosen])
-        self._launch(tile_lists.mark_interior, [self._group.chosen, *self._shape], [self.marks])
+        level = light.policy.base_level
+        self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
+        self._launch(tile_lists.mark_interior, [self._group.levels, *self._shape], [self.marks])
         yield self._group
-
-    def has_chosen(self, group: TileGroup) -> bool:  # noqa: ARG002 (of the host)
-        """Return True, as the host does not know."""
-        return True
 
     def shade(
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the cells of as many chosen tiles as there is room for until none is left; −1 is no tile."""
+        """Shade the cells of as many tiles as there is room for until none is left; −1 is no tile."""
         calls = light.shade_cells(level, self._buffers, group.sums)
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()
         self._offset.zero_()
-        self._launch(tile_lists.compact_marks, [group.chosen], [self._tiles, self._tile_count])
+        self._launch(tile_lists.compact_marks, [group.levels, level], [self._tiles, self._tile_count])
 
         def advance_batch(count: int) -> None:
             inputs, outputs = [self._tile_count, count], [self._offset, self._remaining]

@@ -51,16 +51,16 @@ class RefinementPolicy:
         """Whether any pixels are subdivided."""
         return self.refine or self.least_level > 0
 
-    def threshold(self, level: int, *, converged: bool = False) -> float:
-        """Return the relative error from which pixels of a level are subdivided, or those that had converged."""
-        last = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
-        if not self.refine or level >= last:
-            return np.inf
-        return self.tolerance if converged else pixel_filter.threshold_at(level, self.tolerance)
+    @property
+    def base_level(self) -> int:
+        """Level whose cells come first, and show which level each tile needs."""
+        return max(self.least_level, 1)
 
-    def must_subdivide(self, level: int) -> bool:
-        """Whether all pixels are subdivided beyond a level."""
-        return level < self.least_level
+    @property
+    def most_level(self) -> int:
+        """Finest level of tiles."""
+        finest = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
+        return max(finest, self.base_level) if self.refine else self.base_level
 
     @property
     def silhouette_level(self) -> int:
@@ -105,7 +105,7 @@ class LightRefinement:
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             self.sums.xyz, self.light_pass.unevenness(self.batch), self.batch.gbuffer.pixels.hit, rays.width, floor,
-            policy.threshold(0), policy.must_subdivide(0), policy.refine,
+            policy.tolerance if policy.refine else np.inf, policy.least_level > 0, policy.refine,
         ]  # fmt: skip
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
@@ -116,45 +116,39 @@ class LightRefinement:
         sampling = Sampling()
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
-            batch.xyz, batch.gbuffer.pixels.hit, batch.samples.gains, buffers.tiles[level], self.sums.xyz,
-            self.sums.errors, sums.ranks, pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device),
-            level,
+            batch.xyz, batch.gbuffer.pixels.hit, batch.samples.gains, buffers.tiles[level], self.sums.xyz, sums.ranks,
+            pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
+            level == self.policy.base_level,
         ]  # fmt: skip
-        outputs = [sums.filtered_sums, sums.means, sums.level_difference, sums.levels, sums.has_edge]
+        outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
         return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
-    def resolve_pixels(self, level: int, sums: Any, pixels: wp.array, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that sets pixels to the sums of the cells around, and compares them with the level before."""
-        rays, policy = self.light_pass.context.rays, self.policy
-        inputs = [
-            sums, pixels, rays.width, rays.height, floor, policy.threshold(level),
-            policy.threshold(level, converged=True), level, policy.must_subdivide(level), policy.silhouette_level,
-        ]  # fmt: skip
-        return KernelCall(subdivision.resolve_pixels, inputs, [*self._resolved, marks], in_runs=True)
+    def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
+        """Return the call that sets pixels to the sums of the cells around, with their errors."""
+        rays = self.light_pass.context.rays
+        inputs = [group.sums, group.pixels, marks, rays.width, rays.height]
+        return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
-    def select_cells(
-        self, level: int, sums: Any, tiles: wp.array, floor: wp.array, marks: wp.array, chosen: wp.array
-    ) -> KernelCall:
-        """Return the call that selects the tiles that are subdivided again."""
+    def select_levels(self, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
+        """Return the call that selects the level of each tile."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            sums, tiles, marks, self.sums.xyz, self.sums.coverage, rays.width, rays.height, floor,
-            policy.threshold(level), level, policy.must_subdivide(level), policy.silhouette_level,
+            group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance,
+            policy.base_level, policy.most_level, policy.silhouette_level,
         ]  # fmt: skip
-        return KernelCall(subdivision.select_cells, inputs, [chosen], in_runs=True)
+        return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> Any:
         """Return the struct ``FilteredSums`` of the kernels for a number of tiles."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
-        result.means = wp.empty(tiles, dtype=wp.vec3f, device=device)
-        result.level_difference = wp.empty(tiles, dtype=wp.float32, device=device)
-        result.levels = wp.empty(tiles, dtype=wp.uint8, device=device)
-        result.has_edge = wp.empty(tiles, dtype=wp.bool, device=device)
+        result.quadrants = wp.empty((tiles, 4), dtype=wp.vec3f, device=device)
+        result.changes = wp.empty(tiles, dtype=wp.float32, device=device)
+        result.levels, result.lighting = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
         result.filter_normalisation = pixel_filter.filter_normalisation_on(
             self.lookup.plan.uses_footprints, device.alias
@@ -168,16 +162,16 @@ class TileGroup:
 
     Attributes:
         pixels: Pixels to resolve; empty, on a GPU, is all of the picture.
-        tiles: Tiles of the last level; empty, on a GPU, is all of the picture that are chosen.
+        tiles: The tiles; empty, on a GPU, is all of the picture that have a level.
         sums: What their cells give, the struct ``FilteredSums`` of the kernels.
-        chosen: By pixel of the picture, whether its tile is subdivided next.
+        levels: By pixel of the picture, the level of its tile; 0 is none.
         share: Beginning and end of the group as shares of the light's progress.
     """
 
     pixels: wp.array
     tiles: wp.array
     sums: Any
-    chosen: wp.array
+    levels: wp.array
     share: tuple[float, float]
 
 
@@ -206,13 +200,10 @@ class TileExecutor(Protocol):
         """Yield the groups of the marked pixels, whose tiles are those pixels and the ones around."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Shade the cells of a group's tiles at a level, and splat them to the pixels around."""
+        """Shade the cells of a group's tiles of a level, and splat them to the pixels around."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
         """Launch a call over the pixels or tiles of a group, or over the marks of the whole picture."""
-
-    def has_chosen(self, group: Any) -> bool:
-        """Reduce a group to its chosen tiles; whether there are any, as far as the executor can know."""
 
     def end(self, light: LightRefinement) -> None:
         """End a light."""
@@ -254,17 +245,16 @@ class RefinementLoop:
         tiles = self.tiles
         tiles.begin(light)
         tiles.launch(light.estimate_errors(tiles.floor, tiles.marks), tiles.marks)
-        for group in tiles.groups(light) if light.policy.subdivides else ():
+        policy = light.policy
+        for group in tiles.groups(light) if policy.subdivides else ():
             first, last = group.share
-            for level in refinement_levels.LEVELS:
-                begin, end = (first + (last - first) * (level - done) / refinement_levels.MOST_LEVEL for done in (1, 0))
+            levels = range(policy.base_level, policy.most_level + 1)
+            for level in levels:
+                begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
-                tiles.launch(
-                    light.resolve_pixels(level, group.sums, group.pixels, tiles.floor, tiles.marks), group.pixels
-                )
-                if level < refinement_levels.MOST_LEVEL:
-                    select = light.select_cells(level, group.sums, group.tiles, tiles.floor, tiles.marks, group.chosen)
-                    tiles.launch(select, group.tiles)
-                    if not tiles.has_chosen(group):
-                        break
+                if level == policy.base_level:
+                    # Levels are selected by filtered colours: dark pixels beside bright ones would take more cells.
+                    tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
+                    tiles.launch(light.select_levels(group, tiles.floor, tiles.marks), group.tiles)
+            tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
         tiles.end(light)

@@ -33,19 +33,19 @@ class HostTileGroup(TileGroup):
     """Pixels that are subdivided together, with what the host looks at.
 
     Attributes:
-        tile_indices: The tiles of the last level.
+        tile_indices: The tiles.
         ranks: By pixel of the picture, its index in ``sums``.
-        is_chosen: The array behind ``chosen``.
+        host_levels: The array behind ``levels``.
     """
 
     tile_indices: NDArray[np.int32]
     ranks: NDArray[np.int32]
-    is_chosen: NDArray[np.uint8]
+    host_levels: NDArray[np.uint8]
 
     @property
     def results(self) -> list[NDArray[Any]]:
         """What the cells of the tiles give, by index in ``sums``."""
-        names = "filtered_sums", "means", "level_difference", "levels", "has_edge"
+        names = "filtered_sums", "quadrants", "changes", "levels", "lighting"
         return [getattr(self.sums, name).numpy() for name in names]
 
 
@@ -56,13 +56,12 @@ class _ShadedTiles:
         # By level: tiles, and what each gave.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
-    def fill(self, level: int, group: HostTileGroup) -> NDArray[np.bool_]:
-        """Copy what tiles gave before; return which tiles of the group gave nothing."""
-        tiles = group.tile_indices
+    def fill(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Copy what tiles gave before at a level; return which of them gave nothing."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
-        rows = np.full(group.is_chosen.shape, -1, dtype=np.int32)
+        rows = np.full(group.host_levels.shape, -1, dtype=np.int32)
         rows[before] = np.arange(len(before), dtype=np.int32)
         row = rows[tiles]
         is_known: NDArray[np.bool_] = row >= 0
@@ -71,10 +70,10 @@ class _ShadedTiles:
             values[ranks] = known[row]
         return ~is_known
 
-    def store(self, level: int, group: HostTileGroup) -> None:
+    def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32]) -> None:
         """Keep what the tiles of a group gave."""
-        ranks = group.ranks[group.tile_indices]
-        self._by_level[level] = group.tile_indices, [values[ranks] for values in group.results]
+        ranks = group.ranks[tiles]
+        self._by_level[level] = tiles, [values[ranks] for values in group.results]
 
 
 class ThreadedTiles:
@@ -142,27 +141,22 @@ class ThreadedTiles:
         ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
         sums = light.empty_tile_sums(len(tiles))
         sums.ranks = self._array(ranks)
-        is_chosen = np.zeros_like(self._marked)
-        is_chosen[tiles] = 1
+        levels = np.zeros_like(self._marked)
+        levels[tiles] = light.policy.base_level
         return HostTileGroup(
-            self._array(np.concatenate([pixels, between])), self._array(tiles), sums, self._array(is_chosen, wp.uint8),
-            share, tiles, ranks, is_chosen,
+            self._array(np.concatenate([pixels, between])), self._array(tiles), sums, self._array(levels, wp.uint8),
+            share, tiles, ranks, levels,
         )  # fmt: skip
-
-    def has_chosen(self, group: HostTileGroup) -> bool:
-        """Reduce a group to its chosen tiles; whether there are any."""
-        group.tile_indices = group.tile_indices[group.is_chosen[group.tile_indices] != 0]
-        group.tiles = self._array(group.tile_indices)
-        return len(group.tile_indices) > 0
 
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of a group's tiles at a level, and splat them to the pixels around."""
-        width, height, tiles = self._rays.width, self._rays.height, group.tile_indices
+        """Shade the cells of a group's tiles of a level, and splat them to the pixels around."""
+        width, height = self._rays.width, self._rays.height
+        tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_new = np.ones(len(tiles), dtype=np.bool_)
         if self._shaded is not None:
-            is_new = self._shaded.fill(level, group)
+            is_new = self._shaded.fill(level, group, tiles)
         buffers = self._buffers_of(light.buffer_kind)
         pipeline = Pipeline(light.shade_cells(level, buffers.buffers, group.sums))
         batches = list(pixel_filter.parts(tiles[is_new], level))
@@ -173,7 +167,7 @@ class ThreadedTiles:
                 progress=subprogress(progress, index / len(batches), (index + 1) / len(batches)),
             )  # fmt: skip
         if self._shaded is not None:
-            self._shaded.store(level, group)
+            self._shaded.store(level, group, tiles)
 
     def _buffers_of(self, kind: BufferKind) -> SharedTileBuffers:
         if kind not in self._buffers:
