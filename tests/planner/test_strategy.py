@@ -1,12 +1,15 @@
 """Strategy: directions of a plan."""
 
+import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import at_angle, hemisphere
 
-from warpdiff.planner import strategy
+import warpdiff as wd
+from warpdiff.planner import cost_model, strategy
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
 
@@ -41,3 +44,55 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
     # Uniform in z.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(request_of_fingers):
+    lights = np.array([at_angle(60.0), at_angle(20.0), at_angle(100.0)])
+    direction_range, _, _ = strategy.directions_of(request_of_fingers, lights)
+    assert direction_range.max_uv == direction_range.max_order_rate == pytest.approx(1.0 + math.sin(math.pi / 3.0))
+    assert direction_range.min_w == pytest.approx(0.5)
+    assert direction_range.max_w == pytest.approx(1.0 + math.cos(math.pi / 9.0))
+    below, _, _ = strategy.directions_of(request_of_fingers, at_angle(100.0))
+    assert (below.max_uv, below.min_w, below.max_w) == (0.0, 0.0, 0.0)
+    everything, sample, _ = strategy.directions_of(request_of_fingers)
+    assert (everything.max_uv, everything.min_w, everything.max_w) == (2.0, 0.0, 2.0)
+    assert len(sample) > 4000
+
+
+@pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
+def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
+    """A search takes the time of 16,000 directions of its plan; each direction saves that of ``saving`` − 1 of them."""
+    request = SimpleNamespace(method="auto", integration="auto")
+    upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
+    count = 16_000.0 / (saving - 1.0)
+    for share, pays in [(0.99, False), (1.01, True)]:
+        assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
+    # Bounds that do not cover the call are always tried.
+    assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
+
+
+def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
+    request = SimpleNamespace(method="power", integration="auto")
+    coherence = SimpleNamespace(kind="averaged", adds_powers=True)
+    upper = SimpleNamespace(max_order_rate=1.0, method="power", coherence=coherence)
+    for count, pays in [(15, False), (16, True)]:
+        assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), count) is pays
+
+
+def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
+    """Compared with the plan of a search, which costs a part of the bounds and the time of 16,000 directions."""
+    settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
+    request = Evaluation.of(fingers, settings, illuminants=("D65",))
+    bounded = wd.plan(fingers, at_angle(0.0), at_angle(30.0), coherence=settings.coherence, tolerance=1e-1)
+    smallest = dataclasses.replace(bounded, method="low-rank", rings_per_octave=8, azimuths_per_width=0.9)
+    table, saving = cost_model.table_multiply_adds(fingers, smallest), bounded.multiply_adds / 2.6
+    count = (table / saving + 16_000.0) / 3.0
+    assert strategy._affordable_table_cost(request, lambda: bounded, 0.99 * count) == 0.0
+    affordable = strategy._affordable_table_cost(request, lambda: bounded, 2.0 * count)
+    assert affordable == pytest.approx((6.0 * count - 16_000.0) * saving)
+    explicit = dataclasses.replace(request, integration="table")
+    assert strategy._affordable_table_cost(explicit, lambda: bounded, 1.0) == math.inf
+    for other in ({"method": "power"}, {"wavelengths_nm": np.array([500.0])}):
+        assert strategy._affordable_table_cost(dataclasses.replace(request, **other), lambda: bounded, 1e9) == 0.0
+    footprint = dataclasses.replace(request, footprint=True)
+    assert strategy._affordable_table_cost(footprint, lambda: bounded, 1.0) == math.inf
