@@ -56,7 +56,7 @@ def test_directions_of_a_large_measure_are_drawn_once_and_the_others_in_their_pl
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
-    """A sine's first order, anywhere in the visible band; all other directions look past it, on either side."""
+    """A sine's first order, anywhere in the visible band; all other directions look past it, or are dim."""
     grating = wd.gratings.sinusoidal(2.0, 0.1)
     heights = np.tile(grating.heights_um, (6, 1))
     pitch = 0.15, grating.pitch_um[1]
@@ -64,11 +64,14 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
     count, few = 6000, 12
     along = rng.choice([-1.0, 1.0], count) * rng.uniform(0.1, 0.5, count)
     aside = rng.choice([-1.0, 1.0], count) * rng.uniform(0.15, 0.5, count)
-    at_order = rng.permutation(count)[:few]
+    at_order, dim = np.split(rng.permutation(count)[: 5 * few], [few])
     along[at_order], aside[at_order] = np.linspace(0.2, 0.38, few) * rng.choice([-1.0, 1.0], few), 0.001
+    along[dim], aside[dim] = np.linspace(0.2, 0.38, 4 * few) * rng.choice([-1.0, 1.0], 4 * few), 0.0
+    gains = np.full(count, 2.0)
+    gains[at_order], gains[dim] = 1.0, 1e-4
     u, v = (along, aside) if axis else (aside, along)
     sample = DirectionSample(
-        np.column_stack([u, v, np.full(count, -1.7)]), np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count),
+        np.column_stack([u, v, np.full(count, -1.7)]), np.tile([0.0, 0.0, 1.0], (count, 1)), gains,
         np.ones(count),
     )  # fmt: skip
     plan = wd.plan(heightfield, [0.0, 0.0, 1.0], [0.5, 0.0, 0.8], method="low-rank")
