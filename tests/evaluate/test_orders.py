@@ -190,6 +190,18 @@ def test_metals_are_normalised_and_glass_is_not():
         np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
 
 
+def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
+    """Fresnel's |(N − 1) / (N + 1)|² at normal incidence; wavelengths beyond the table are refused."""
+    wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
+    metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
+    mirror = wd.HeightField(np.zeros((2, 2)), 0.1)
+    reflected = wd.order_efficiencies(mirror, (0, 0, 1), wavelengths, material=metal)[0, 0]
+    np.testing.assert_allclose(reflected, np.abs((index - 1.0) / (index + 1.0)) ** 2, rtol=1e-6)
+    for beyond in ([390.0, 550.0], [550.0, 710.0]):
+        with pytest.raises(ValueError, match="material must cover"):
+            wd.order_efficiencies(mirror, (0, 0, 1), beyond, material=metal)
+
+
 def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
     """∫ BRDF cos θ dω is the sum over orders that lie closely: factors from a grid of directions."""
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
