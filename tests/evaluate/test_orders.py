@@ -147,6 +147,14 @@ def test_bad_input(arguments, error, message):
         wd.order_efficiencies(**legal | arguments)
 
 
+def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
+    line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
+    found = wd.order_efficiencies(line, at_angle(20.0), [500.0])
+    assert not found.orders[:, 0].any()
+    # |m 0.5/1.6 − sin 20°| < 1.
+    assert found.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
+
+
 def test_an_order_is_a_pair():
     found = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
     assert found[0, 99].tolist() == [0.0]

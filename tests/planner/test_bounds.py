@@ -134,3 +134,14 @@ def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for
     assert colour.truncation == plan.truncation
     rates, w = np.array([1.5]), np.array([1.7])
     assert colour.multiply_adds == cost_model.sampling_multiply_adds(fingers, colour, rates, w)
+
+
+def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
+    """There are N lobes for each of the patch's orders, which pass by √2 times as fast on the diagonal."""
+    rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
+    plan = upper_bound(
+        fingers, DirectionRange(1.9, rate, 0.1, 2.0), coherence=wd.Coherence("replicas", periods=(60, 9))
+    )
+    lobes = math.sqrt(2.0) * 60 * rate * band
+    assert plan.subdivisions > 4
+    assert 0.97 * 2.0 * lobes < plan.wavelengths * plan.subdivisions < 1.5 * 2.0 * lobes

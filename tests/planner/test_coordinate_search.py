@@ -215,6 +215,12 @@ def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, 
     np.testing.assert_allclose(np.divide(plan.bandwidth_um, start.bandwidth_um), 2.0 ** math.ceil(octaves))
 
 
+def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers, start):
+    trial = ClosedForm(fingers, start)
+    trial.training_error = lambda plan: TARGET * (1.0 if plan == start else 0.6)
+    assert coordinate_search._sufficient(start, trial, TARGET, automatic=True) == (start, TARGET)
+
+
 def test_a_smaller_bandwidth_serves_larger_order_rates_with_as_many_wavelengths(fingers):
     """Of a grazing source, whose set of wavelengths was cut short; a call's own rates are enough."""
     source = wd.Coherence("source", angular_diameter_deg=3.0)

@@ -78,6 +78,10 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
+    # Twice the coefficients within a circle are lines.
+    lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
+    area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
+    assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
     # A line has 7 by 6 nodes: 8 terms more are 336 multiply-adds; it costs 150 in addition.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
@@ -109,3 +113,11 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
     steps = 18.0 * np.minimum(expected, 1.0)
     parts = 2.0 if plan.method == "jacobi-anger" else 1.0
     np.testing.assert_allclose(increases[1] / increases[0], np.divide(*(steps + parts * expected)[::-1]), rtol=1e-6)
+
+
+def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_function_of_w():
+    """Without a number of functions, as many as terms in whole registers."""
+    plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
+    for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:
+        sized = dataclasses.replace(plan, w_basis_size=size, terms=terms)
+        assert cost_model.look_up_multiply_adds(sized) == 27.0 * functions

@@ -9,6 +9,7 @@ import pytest
 from conftest import at_angle, hemisphere
 
 import warpdiff as wd
+from warpdiff.heightfield import diagnostics
 from warpdiff.planner import cost_model, strategy
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
@@ -96,3 +97,11 @@ def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
         assert strategy._affordable_table_cost(dataclasses.replace(request, **other), lambda: bounded, 1e9) == 0.0
     footprint = dataclasses.replace(request, footprint=True)
     assert strategy._affordable_table_cost(footprint, lambda: bounded, 1.0) == math.inf
+
+
+def test_a_plan_states_the_power_that_aliases_at_the_highest_frequency_of_its_directions(fingers):
+    near, far = (wd.plan(fingers, at_angle(0.0), at_angle(angle)) for angle in (10.0, 80.0))
+    for plan, angle in ((near, 10.0), (far, 80.0)):
+        frequency = math.sin(math.radians(angle)) / 0.38
+        assert plan.aliasing == pytest.approx(diagnostics.folded_power(fingers, frequency), rel=1e-6)
+    assert 0.0 < near.aliasing < far.aliasing < 1.0

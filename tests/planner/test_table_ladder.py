@@ -110,7 +110,8 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     # A call that needs one has the largest that it can afford.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 24
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
-    assert trial.smallest(affordable=0.5 * cost(trial, 8)[0], needed=True) is None
+    assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
+    assert trial.smallest(affordable=0.99 * cost(trial, 8)[0], needed=True) is None
 
 
 def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, monkeypatch):

@@ -141,3 +141,14 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
         scale = np.maximum(np.linalg.norm(bright, axis=1), floor)
         np.testing.assert_allclose(errors[row], np.linalg.norm(values[illuminant] - bright, axis=1) / scale)
         np.testing.assert_array_equal(group.above[row], bright[:, 1] >= floor)
+
+
+def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
+    """Of the illuminant that has the fewest; without the brightest directions a floor is lower."""
+    above = np.arange(100) < np.array([[40], [60], [30], [80]])
+    group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
+    group.above = above
+    measured = SimpleNamespace(
+        validation_set=group, _candidates=range(1000), _floors=np.ones((2, 2)), exact=lambda _group: None
+    )
+    assert trial.Trial.bright.fget(measured) == (30.0, 60.0)
