@@ -10,7 +10,7 @@ from conftest import at_angle, hemisphere
 
 import warpdiff as wd
 from warpdiff.heightfield import diagnostics
-from warpdiff.planner import cost_model, strategy
+from warpdiff.planner import bounds, cost_model, strategy
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
 
@@ -105,3 +105,25 @@ def test_a_plan_states_the_power_that_aliases_at_the_highest_frequency_of_its_di
         frequency = math.sin(math.radians(angle)) / 0.38
         assert plan.aliasing == pytest.approx(diagnostics.folded_power(fingers, frequency), rel=1e-6)
     assert 0.0 < near.aliasing < far.aliasing < 1.0
+
+
+def test_an_explicit_integration_selects_the_low_rank_basis_unless_a_method_is_given(fingers):
+    directions = at_angle(0.0), at_angle(30.0)
+    for method, integration, expected in [
+        ("auto", "sampled", "low-rank"), ("power", "sampled", "power"), ("taylor", "auto", "taylor"),
+        ("auto", "auto", "jacobi-anger"),
+    ]:  # fmt: skip
+        plan = wd.plan(fingers, *directions, method=method, integration=integration, tolerance=1e-1)
+        assert plan.method == expected
+
+
+def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_half_of_the_wavelengths(
+    request_of_fingers,
+):
+    direction_range, _, _ = strategy.directions_of(request_of_fingers)
+    for request in (dataclasses.replace(request_of_fingers, method=name) for name in ("low-rank", "jacobi-anger")):
+        coarse = strategy._coarse_plan(request, direction_range)
+        upper = bounds.upper_bound_plan(request, direction_range, method=request.method, tolerance=0.5)
+        assert coarse.terms == (8 if request.method == "low-rank" else upper.terms)
+        assert upper.terms > 8
+        assert coarse.wavelengths == math.ceil(upper.wavelengths / 2.0)
