@@ -127,3 +127,62 @@ def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_hal
         assert coarse.terms == (8 if request.method == "low-rank" else upper.terms)
         assert upper.terms > 8
         assert coarse.wavelengths == math.ceil(upper.wavelengths / 2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "expected"),
+    [
+        ({"integration": "table"}, 1.7, "table"),
+        ({"integration": "table"}, None, "refusal"),
+        ({"footprint": True}, 1.5, "table"),
+        ({"footprint": True}, 1.7, "search"),
+        ({}, 1.0, "table"),
+        ({}, 1.1, "search"),
+        ({}, None, "search"),
+    ],
+)
+def test_a_table_is_taken_if_it_meets_the_tolerance_or_is_explicit(
+    request_of_fingers, monkeypatch, options, error, expected
+):
+    """Means over footprints may use up the safety factor of 1.6, since points have larger errors."""
+    request = dataclasses.replace(request_of_fingers, **options)
+    direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
+    upper = bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
+    table = error and dataclasses.replace(
+        upper, rings_per_octave=24, azimuths_per_width=1.3, truncation=0.0, neighbourhood=0.0, rounding=0.0,
+        quadrature=error * request.tolerance,
+    )  # fmt: skip
+    searched = dataclasses.replace(upper, is_measured=True)
+    monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=True))
+    monkeypatch.setattr(strategy.table_ladder, "smallest_table", lambda *_, **__: table)
+    monkeypatch.setattr(strategy.coordinate_search, "search", lambda *_, **__: searched)
+    arguments = request, direction_range, sample, upper
+    if expected == "refusal":
+        with pytest.raises(ValueError, match="'table' requires more than 300 MB"):
+            strategy._measured(*arguments, math.inf)
+    else:
+        assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
+    assert strategy._measured(*arguments, 0.0) is searched
+    # The bounds serve directions that are dark, unless bounds were cut short.
+    monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
+    assert not strategy._measured(*arguments, 0.0).is_measured
+    cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)
+    assert strategy._measured(request, direction_range, sample, cut, 0.0) is searched
+
+
+@pytest.mark.parametrize(("kind", "factor"), [("averaged", 1.0), ("centred", 16.0)])
+def test_pixels_that_show_means_without_a_table_have_many_rays(fingers, monkeypatch, kind, factor):
+    coherence = wd.Coherence(kind, 3.25)
+    request = Evaluation.of(fingers, PlanSettings(coherence=coherence), illuminants=("D65",), footprint=True)
+    counts = []
+
+    def recorded(*arguments):
+        counts.append(arguments[-1])
+        return 0.0
+
+    monkeypatch.setattr(strategy, "_affordable_table_cost", recorded)
+    monkeypatch.setattr(strategy, "_pays_to_search", recorded)
+    direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
+    plan = strategy.plan_for(request, direction_range, sample, 100.0)
+    assert plan.footprint
+    assert counts == [100.0 * factor] * 2
