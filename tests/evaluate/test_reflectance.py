@@ -97,3 +97,15 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     # Errors are relative to the colour, or to the floor.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
+
+
+def test_a_normalised_brdf_does_not_depend_on_directions_beside_it():
+    grating, view = wd.gratings.blazed(1.7, 0.2), at_angle(-20.0)
+    lights = np.array([at_angle(30.0), at_angle(100.0)])
+    options = {"coherence": SHORT, "ior": math.inf, "energy": "normalised", "tolerance": 1e-2}
+    both, one = wd.brdf(grating, lights, view, 500.0, **options), wd.brdf(grating, lights[0], view, 500.0, **options)
+    np.testing.assert_allclose(both[0], one, rtol=1e-4)
+    assert not both[1].any()
+    assert not math.isclose(
+        one[0], wd.brdf(grating, lights[0], view, 500.0, **options | {"energy": "stam"})[0], rel_tol=1e-3
+    )

@@ -264,3 +264,19 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
     power = math.log(plan.least_weight)
     assert power == pytest.approx(round(power))
     assert math.log(plans[1].least_weight) - 1.0 < power <= math.log(plans[1].least_weight)
+
+
+def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
+    """With few bright directions only a tenth of what is left is spent, and all neighbours stay."""
+    trial, error = ClosedForm(fingers, start), 0.4 * TARGET
+    coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
+    np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
+    # Three of 32 terms' four registers, e^8 up to a weight of 1e-5, and three octaves.
+    assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
+    trial.bright = (63.0, 64.0)
+    few = coordinate_search._coordinates(start, trial, error, TARGET)
+    shares = [(c.budget - error) / (TARGET - error) for c in few]
+    np.testing.assert_allclose(shares, [0.02, 0.04, 0.6, 0.8, 1.0])
+    assert [c.most for c in few] == [3, 0, 12, 12, 12]
+    late = coordinate_search._coordinates(start, trial, 2.0 * TARGET, TARGET)
+    assert {c.budget for c in late} == {2.0 * TARGET}

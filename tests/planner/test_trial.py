@@ -152,3 +152,20 @@ def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
         validation_set=group, _candidates=range(1000), _floors=np.ones((2, 2)), exact=lambda _group: None
     )
     assert trial.Trial.bright.fget(measured) == (30.0, 60.0)
+
+
+def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
+    rng = np.random.default_rng(9)
+    lights, views = hemisphere(rng, 500, 0.3), hemisphere(rng, 500, 0.3)
+    request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=0.5), illuminants=("D65",))
+    measured, _ = trial_of(request, lights, views)
+    training, validation = (
+        set(map(tuple, group.sample.scattering_vectors)) for group in (measured.training_set, measured.validation_set)
+    )
+    assert (len(training), len(validation)) == (128, 256)
+    assert not training & validation
+    assert len(measured.order_rate) == len(measured.w) == 128
+    assert all(len(values) == 500 for values in measured.rates)
+    # All directions are candidates: no floor is without the brightest ones.
+    assert measured._floors.shape == (1, 1)
+    assert 0.0 < measured.bright[0] <= 256.0
