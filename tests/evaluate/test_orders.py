@@ -149,10 +149,10 @@ def test_bad_input(arguments, error, message):
 
 def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
-    found = wd.order_efficiencies(line, at_angle(20.0), [500.0])
-    assert not found.orders[:, 0].any()
+    result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
+    assert not result.orders[:, 0].any()
     # |m 0.5/1.6 − sin 20°| < 1.
-    assert found.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
+    assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 
 def test_an_order_is_a_pair():

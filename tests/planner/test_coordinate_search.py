@@ -222,7 +222,7 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
 
 
 def test_a_smaller_bandwidth_serves_larger_order_rates_with_as_many_wavelengths(fingers):
-    """Of a grazing source, whose set of wavelengths was cut short; a call's own rates are enough."""
+    """The set of wavelengths of a grazing source may be cut short; the rates of the call are enough."""
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
     count = cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w)

@@ -47,7 +47,7 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """Of the 60 directions each has more than half a percent; 1e-3 of the brightest one is the floor."""
+    """Each of the 60 directions has more than half a percent of the weight; 1e-3 of the brightest one is the floor."""
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
     largest, of_half = [], []
@@ -144,7 +144,7 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """Of the illuminant that has the fewest; without the brightest directions a floor is lower."""
+    """The illuminant with the fewest counts; a floor without the brightest directions is lower."""
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
     group.above = above
