@@ -32,6 +32,14 @@ def test_a_sample_has_the_directions_of_the_call(request_of_fingers, rng):
     assert vectors[:, 2].max() <= direction_range.max_w * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("is_light", [True, False])
+def test_directions_below_the_horizon_do_not_widen_the_range(is_light, request_of_fingers):
+    ends = np.array([at_angle(0.0), at_angle(0.0)]), np.array([at_angle(30.0), at_angle(100.0)])
+    direction_range, sample, _ = strategy.directions_of(request_of_fingers, *(ends[::-1] if is_light else ends))
+    assert direction_range.max_uv == pytest.approx(0.5)
+    assert len(sample) == 1
+
+
 @pytest.mark.parametrize(("side", "light", "view"), [("light", at_angle(30.0), None), ("view", None, at_angle(30.0))])
 def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, request_of_fingers):
     """From one direction at an angle θ, |(u, v)| reaches 1 + sin θ, and |w| lies between cos θ and 1 + cos θ."""
