@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 # Packages that are changed, and their folders below the root of a checkout.
 PACKAGES = {
@@ -166,10 +166,10 @@ def header_mutants(root: Path) -> Iterator[Mutant]:
         yield Mutant(*place, (header,), f"native|{fault}")
 
 
-def draw(root: Path, seed: str) -> list[Mutant]:
-    """Return the changes of all packages in random order, of which a first part is a draw.
+def draw(root: Path, seed: str, packages: Iterable[str] = PACKAGES) -> list[Mutant]:
+    """Return the changes of some packages in random order, of which a first part is a draw.
 
     A hash of the seed and of a change's text orders the changes: draws by one seed on two commits are comparable.
     """
-    mutants = (mutant for package in PACKAGES for mutant in mutants_of(root, package))
+    mutants = (mutant for package in packages for mutant in mutants_of(root, package))
     return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

@@ -218,6 +218,7 @@ def main() -> None:
     parser.add_argument("commits", nargs="+", help="commits whose sources and tests run")
     parser.add_argument("--seed", default="HEAD", help="commit whose hash draws the changes (HEAD)")
     parser.add_argument("--count", type=int, default=400, help="number of changes (400)")
+    parser.add_argument("--packages", nargs="+", choices=PACKAGES, default=PACKAGES, help="packages to change (all)")
     parser.add_argument("--headers", action="store_true", help="make the faults of the headers instead")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no change after this time (no limit)")
     parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
@@ -228,7 +229,10 @@ def main() -> None:
     seed, *commits = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     options.output.mkdir(parents=True, exist_ok=True)
     runs = [Run(commit, seed, options.seconds, options.output) for commit in commits]
-    draws = [header_mutants(run.tree) if options.headers else draw(run.tree, seed)[: options.count] for run in runs]
+    draws = [
+        header_mutants(run.tree) if options.headers else draw(run.tree, seed, options.packages)[: options.count]
+        for run in runs
+    ]
     for mutants in zip_longest(*draws):
         for run, mutant in zip(runs, mutants, strict=True):
             is_new = mutant and all(record["identity"] != mutant.identity for record in run.records)

@@ -57,6 +57,11 @@ def test_a_draw_keeps_its_changes_where_lines_move_and_others_appear(checkout):
     assert [change.identity for change in before] != [c.identity for c in mutant_sites.draw(checkout, "else")[:10]]
 
 
+def test_a_draw_of_some_packages_is_the_part_of_theirs(checkout):
+    some = mutant_sites.draw(checkout, "seed", ["optics", "kernels"])
+    assert some == [c for c in mutant_sites.draw(checkout, "seed") if c.package in {"optics", "kernels"}]
+
+
 def test_each_header_has_two_faults():
     changes = list(mutant_sites.header_mutants(ROOT))
     headers = {path.name for path in (ROOT / mutant_sites.NATIVE).glob("*.h")}

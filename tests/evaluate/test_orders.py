@@ -147,6 +147,14 @@ def test_bad_input(arguments, error, message):
         wd.order_efficiencies(**legal | arguments)
 
 
+def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
+    line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
+    result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
+    assert not result.orders[:, 0].any()
+    # |m 0.5/1.6 − sin 20°| < 1.
+    assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
+
+
 def test_an_order_is_a_pair():
     found = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
     assert found[0, 99].tolist() == [0.0]
@@ -188,6 +196,18 @@ def test_metals_are_normalised_and_glass_is_not():
         found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material)
         expected = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material, energy=form)
         np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
+
+
+def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
+    """Fresnel's |(N − 1) / (N + 1)|² at normal incidence; wavelengths beyond the table are refused."""
+    wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
+    metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
+    mirror = wd.HeightField(np.zeros((2, 2)), 0.1)
+    reflected = wd.order_efficiencies(mirror, (0, 0, 1), wavelengths, material=metal)[0, 0]
+    np.testing.assert_allclose(reflected, np.abs((index - 1.0) / (index + 1.0)) ** 2, rtol=1e-6)
+    for beyond in ([390.0, 550.0], [550.0, 710.0]):
+        with pytest.raises(ValueError, match="material must cover"):
+            wd.order_efficiencies(mirror, (0, 0, 1), beyond, material=metal)
 
 
 def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():

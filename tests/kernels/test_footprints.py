@@ -189,6 +189,38 @@ def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers,
     assert relative.max() < 5e-2
 
 
+def test_a_wide_footprint_weighs_each_ring_by_its_area():
+    """The mean of a Gaussian over the normal distribution of a footprint, both around the mirror direction.
+
+    A narrow Gaussian lies on the innermost rings, which are twice as far apart as others.
+    """
+    heightfield = wd.gratings.sinusoidal(5.0, 0.14)
+    up = (0.0, 0.0, 1.0)
+    plan = wd.plan(heightfield, up, (0.6, 0.0, 0.8), coherence=SHORT, method="low-rank")
+    plan = dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=1.3, footprint=True)
+    options = {"device": wp.get_device("cpu"), "threads": 1}
+    table = colour_table.table_for(heightfield, plan, plan.direction_range, IlluminatedMaterial("D65"), **options)
+    struct, deviation = table.struct, 0.1
+    levels, octaves = struct.azimuths.shape
+    rings = struct.rings_per_octave
+    radii = np.exp2((np.arange(octaves * rings) - struct.ring_of_one) / rings).reshape(octaves, 1, rings, 1)
+    rows = struct.rows.numpy()
+
+    def mean_over_footprint(values):
+        for level, octave in np.ndindex(levels, octaves):
+            first, azimuths = struct.first_rows.numpy()[level, octave], struct.azimuths.numpy()[level, octave]
+            rows[first : first + azimuths * rings].reshape(azimuths, rings, -1)[:] = values[octave]
+        struct.rows.assign(rows)
+        footprints = to_first_order([[deviation, 0.0, 0.0, deviation]])
+        return colours(heightfield, plan, plan.direction_range, np.zeros((1, 2)), footprints)[0]
+
+    dark, white = mean_over_footprint(0.0 * radii), mean_over_footprint(radii**0)
+    for narrow in (0.4 * deviation, 0.8 * deviation):
+        colour = mean_over_footprint(np.exp(-0.5 * (radii / narrow) ** 2))
+        expected = narrow**2 / (narrow**2 + deviation**2)
+        np.testing.assert_allclose((colour - dark) / (white - dark), expected, rtol=0.05)
+
+
 def seen_by(surface, view, light, face, column, row, *, smooth):
     """(u, v) where rays through places in the picture meet the planes of faces, in float64, (n, 2)."""
     frame = view.frame()
@@ -211,17 +243,25 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 
 
 @pytest.mark.parametrize("smooth", [True, False])
-@pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far"])
-def test_footprints_are_the_slopes_of_uv(tube, place, smooth):
-    """On the face that was hit, against differences of rays that meet its plane a little aside."""
+@pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
+def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
+    """On the face that was hit, against differences of rays that meet its plane a little aside.
+
+    Between sheared tangents of a coarse mesh, tangents are not perpendicular to normals.
+    """
     size = {"width": 48, "height": 36}
     camera = {
         "outside": wd.View((0.5, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, **size),
         "inside": wd.View((0.2, 0.0, 0.1), (1.0, 0.3, 0.0), **size),
         "orthographic": wd.View.orthographic((0.3, 1.0, 2.0), (0.0, 0.0, 0.0), extent_y=1.5, **size),
         "far": wd.View((500.0, 1600.0, 3100.0), (0.0, 0.0, 0.0), fov_y_deg=0.03, **size),
+        "sheared": wd.View((0.5, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, **size),
     }[place]
     surface, deviation = prepare_surface(tube), 0.4
+    if place == "sheared":
+        coarse = meshes.tube(segments_along=12, segments_around=12)
+        oblique = (1.0, 0.3, 0.5) + 0.3 * rng.normal(size=(len(coarse.vertices), 3))
+        surface = prepare_surface(coarse, tangents=oblique)
     optics = SurfaceOptics(SHORT, 1.0, 0.04, shadows=False)
     picture = Picture(surface, camera, optics, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     (part,) = LIGHT.parts(SHORT, tolerance=1e-1, single_lobe=True, name="light")

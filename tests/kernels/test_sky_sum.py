@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from conftest import hemisphere
-from scipy.stats import truncnorm
+from scipy.stats import norm, truncnorm
 
 from warpdiff.kernels import octahedral_maps, sky_sum
 from warpdiff.kernels.light_samples import Reflection
@@ -47,6 +47,21 @@ def call_functions(
     rotated[i, 1] = beside.bitangent
     rotated[i, 2] = beside.normal
     rotated[i, 3] = beside.view
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def send_near_horizon(
+    views: wp.array(dtype=wp.vec3f), sky: octahedral_maps.SkyMap, table: sky_sum.SkyTable, reflection: Reflection,
+    lobe: wp.float32, colours: wp.array(dtype=wp.vec3f),
+):  # fmt: skip
+    i = wp.tid()
+    frame = sky_sum.HitFrame()
+    frame.tangent = wp.vec3f(1.0, 0.0, 0.0)
+    frame.bitangent = wp.vec3f(0.0, 1.0, 0.0)
+    frame.normal = wp.vec3f(0.0, 0.0, 1.0)
+    frame.view = views[i]
+    frame.energy = wp.float32(1.0)
+    colours[i] = sky_sum.mirrored_near_horizon(sky, table, frame, reflection, lobe, 0.0).colour
 
 
 def array(values, dtype):
@@ -199,3 +214,30 @@ def test_mirror_directions_are_those_of_reflected_views(rng):
     np.testing.assert_allclose(to_lights.numpy(), hit[:, None] * (2.0 * cosines * normals - views), atol=1e-6)
     np.testing.assert_allclose(vectors.numpy(), hit[:, None] * cosines * (0.0, 0.0, -2.0), atol=1e-6)
     np.testing.assert_array_equal(gains.numpy(), hit)
+
+
+@pytest.mark.parametrize("masking", [True, False])
+def test_the_mirror_lobe_near_the_horizon_sends_its_mean_gain(masking):
+    """Under an even sky, from views at any azimuth: the lobe's mean of the gain, times the share above the horizon."""
+    lobe, sky, table, reflection = 0.02, octahedral_maps.SkyMap(), sky_sum.SkyTable(), Reflection()
+    sky.texels, sky.firsts = array(np.tile([1.0, 1.0, 1.0, 0.0], (18, 1)), wp.vec4f), array([0, 9], wp.int32)
+    sky.sides, sky.variance, sky.turn = array([1, 1], wp.int32), 0.01, wp.vec2f(1.0, 0.0)
+    table.nodes, table.entries = wp.zeros(1, dtype=wp.vec4f, device="cpu"), 2
+    table.rows = array(np.tile(np.eye(3), (2, 1, 1)), wp.mat33f)
+    reflection.normal_reflectance, reflection.masking = 0.04, masking
+    radii, azimuths = np.repeat([0.9, 0.95, 0.98], 4), np.tile([0.3, 1.9, 3.5, 5.5], 3)
+    around = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
+    views = np.column_stack([radii[:, None] * around, np.sqrt(1.0 - radii**2)])
+    colours = wp.zeros(len(views), dtype=wp.vec3f, device="cpu")
+    wp.launch(send_near_horizon, len(views), [array(views, wp.vec3f), sky, table, reflection, lobe], [colours])
+    # The gain does not depend on the azimuth; float32 rounds it.
+    np.testing.assert_allclose(colours.numpy(), np.repeat(colours.numpy()[::4], 4, axis=0), rtol=1e-5)
+    for view, radius, colour in zip(views, radii, colours.numpy(), strict=True):
+        away = np.linspace(radius - 2.5 * lobe, min(radius + 2.5 * lobe, 1.0), 4001)[:-1]
+        lights = np.column_stack([-away[:, None] * view[:2] / radius, np.sqrt(1.0 - away**2)])
+        gains = reflectance_factors.gain(
+            lights, np.broadcast_to(view, lights.shape), normal=0.04, masking=masking, per_light_cosine=True
+        )
+        widths = lobe * np.array([1.03, 1.01, 0.83])[:, None]
+        means = np.average(np.broadcast_to(gains, (3, 4000)), axis=1, weights=norm.pdf((away - radius) / widths))
+        np.testing.assert_allclose(colour, means * norm.cdf((1.0 - radius) / widths[:, 0]), rtol=0.03)

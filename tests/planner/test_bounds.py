@@ -9,6 +9,10 @@ from conftest import hemisphere
 
 import warpdiff as wd
 from bench.truth import judge, reference
+from warpdiff.planner import bounds, cost_model
+from warpdiff.request.directions import DirectionRange
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import PlanSettings, SpectralSettings
 
 
 def ratio(heightfield, lights, views, tolerance, **options):
@@ -69,3 +73,76 @@ def test_maps_under_lines(illuminant):
     rng = np.random.default_rng(3)
     lights = np.broadcast_to([0.0, 0.0, 1.0], (200, 3))
     assert ratio(heightfield, lights, hemisphere(rng, 200, 0.3), 1e-4, illuminant=illuminant) <= 0.5
+
+
+def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options):
+    settings = PlanSettings(**options) if wavelengths_nm is None else SpectralSettings(**options)
+    request = Evaluation.of(heightfield, settings, wavelengths_nm=wavelengths_nm)
+    return bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
+
+
+def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
+    """Windows: samples per Gaussian of width 1/σ, and per cycle of the height range, both as the sixth root."""
+    tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
+    rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
+    np.testing.assert_allclose(
+        bounds.bandwidth_um(tall, wd.Coherence(sigma_um=10.0), 1e-2), (2.0 * rate, 3.0 * height, colour)
+    )
+    finer = 10.0 ** (1 / 3)
+    np.testing.assert_allclose(
+        bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
+    )
+    # Replicas: samples per order of the patch, whose phases turn with the height; cubics.
+    replicas = wd.Coherence("replicas", periods=(2, 2))
+    order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
+    assert height == pytest.approx(order * fingers.height_range_um)
+    assert bounds.bandwidth_um(fingers, replicas, 1e-4)[0] == pytest.approx(math.sqrt(10.0) * order)
+
+
+def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
+    """Equal ratios are furthest apart in 1/λ at 380 nm; a Gaussian of the source is its spread wide, in ln λ."""
+    source, window = wd.Coherence("source", angular_diameter_deg=3.0), wd.Coherence(sigma_um=5.0)
+    of_source, of_window = (bounds.bandwidth_um(fingers, coherence, 1e-2) for coherence in (source, window))
+    band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
+    wider = band_of_log / 0.38 / band
+    np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
+    # Samples per deviation are the same: those over the band times the deviation over the band.
+    of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
+    assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
+
+
+def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengths_serve(fingers):
+    source = wd.Coherence("source", angular_diameter_deg=1.0)
+    near, grazing = (DirectionRange(1.9, rate, 0.01, 1.2) for rate in (3.0, 1e4))
+    plan = upper_bound(fingers, near, coherence=source)
+    assert plan.max_order_rate == 3.0
+    assert plan.wavelengths >= 0.98 * cost_model.wavelength_count(plan, 3.0, 1.2)
+    plan = upper_bound(fingers, grazing, coherence=source)
+    assert plan.wavelengths == 16_384
+    assert 1.9 < plan.max_order_rate < 1e4
+    # As many intervals between wavelengths as the set has wavelengths.
+    assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
+
+
+def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for_spectra(fingers):
+    direction_range = DirectionRange(1.5, 1.5, 0.3, 1.7, 400.0, 700.0)
+    plan = upper_bound(fingers, direction_range, wavelengths_nm=np.array([400.0, 700.0]))
+    assert plan.direction_range == direction_range
+    assert plan.wavelengths == plan.quadrature == 0
+    assert plan.error < plan.tolerance
+    colour = upper_bound(fingers, direction_range)
+    assert colour.quadrature > 0.0
+    assert colour.truncation == plan.truncation
+    rates, w = np.array([1.5]), np.array([1.7])
+    assert colour.multiply_adds == cost_model.sampling_multiply_adds(fingers, colour, rates, w)
+
+
+def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
+    """There are N lobes for each of the patch's orders, which pass by √2 times as fast on the diagonal."""
+    rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
+    plan = upper_bound(
+        fingers, DirectionRange(1.9, rate, 0.1, 2.0), coherence=wd.Coherence("replicas", periods=(60, 9))
+    )
+    lobes = math.sqrt(2.0) * 60 * rate * band
+    assert plan.subdivisions > 4
+    assert 0.97 * 2.0 * lobes < plan.wavelengths * plan.subdivisions < 1.5 * 2.0 * lobes

@@ -1,6 +1,7 @@
 """Cost model: proportions of its numbers."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from conftest import noise
 
 import warpdiff as wd
 from warpdiff.planner import cost_model
+from warpdiff.tables import mip_layout
 
 
 def sampling(heightfield, plan, **changes):
@@ -45,3 +47,77 @@ def test_the_cost_of_a_table_is_quadratic_in_its_terms(fingers):
     first, second = np.diff([cost_model.table_multiply_adds(fingers, plan) for plan in plans], 2)
     assert first > 0.0
     assert second == pytest.approx(first)
+
+
+def table_plan(heightfield, coherence, method="low-rank"):
+    plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8], coherence=coherence, method=method)
+    return dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=1.3)
+
+
+def test_samples_of_a_tables_spectrum_cost_as_many_terms_as_lie_within_the_radius_of_neighbours(fingers):
+    """The weight exp(−4π²σ² q²) is the least at a radius, whose circle has a coefficient in each 1/area."""
+    plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
+    costs = [
+        cost_model.table_multiply_adds(fingers, dataclasses.replace(plan, terms=terms, least_weight=math.exp(-n)))
+        for terms, n in ((8, 4.0), (8, 9.0), (16, 4.0), (16, 9.0))
+    ]
+    circles = math.pi * (9.0 - 4.0) / (4.0 * (math.pi * 3.25) ** 2) * math.prod(fingers.size_um)
+    increases = np.array([costs[1] - costs[0], costs[3] - costs[2]])
+    np.testing.assert_allclose(increases, mip_layout.layout_of(plan).samples * circles * np.array([8.0, 16.0]))
+
+
+def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
+    heightfields = [noise((12, columns)) for columns in (16, 32, 48)]
+    source = wd.Coherence("source", angular_diameter_deg=3.0)
+    plan = dataclasses.replace(table_plan(heightfields[0], source), max_uv=1.9)
+    costs = np.array([
+        [cost_model.table_multiply_adds(field, dataclasses.replace(plan, terms=terms)) for field in heightfields]
+        for terms in (8, 16, 24)
+    ])  # fmt: skip
+    increases = np.diff(costs, axis=1)
+    assert increases.min() > 0.0
+    np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
+    # Twice the coefficients within a circle are lines.
+    lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
+    area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
+    assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
+    # A line has 7 by 6 nodes: 8 terms more are 336 multiply-adds; it costs 150 in addition.
+    assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
+
+
+def test_directions_cost_as_many_wavelengths_as_they_require():
+    """Half of a step of the sets of wavelengths more, and all of the plan's at most."""
+    heightfield = noise((6, 16))
+    plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
+    plan = dataclasses.replace(plan, wavelengths=400, bandwidth_um=(200.0, 20.0, 10.0))
+    rates, w = np.array([0.1, 0.5, 5.0]), np.array([1.0, 2.0, 1.5])
+    required = np.minimum((200.0 * rates + 20.0 * w + 10.0) * (1 / 0.38 - 1 / 0.78) + 1.0, 400.0 / 2.0**0.125)
+    costs = [cost_model.sampling_multiply_adds(heightfield, plan, rates[k : k + 1], w[k : k + 1]) for k in range(3)]
+    np.testing.assert_allclose(np.divide(costs, costs[2]), required * 2.0**0.125 / 400.0)
+    weights = np.array([1.0, 2.0, 5.0])
+    mean = cost_model.sampling_multiply_adds(heightfield, plan, rates, w, weights)
+    assert mean == pytest.approx(np.average(costs, weights=weights))
+
+
+def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
+    """Their number is the product of twice the radius by each length; an axis of one sample has one order."""
+    line, field = noise((1, 16)), noise((6, 16))
+    plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
+    radius = math.sqrt(-math.log(plan.least_weight)) / (2.0 * math.pi * plan.coherence.sigma_um)
+    of_one, of_terms = (
+        [sampling(heightfield, plan, terms=terms) for heightfield in (line, field)] for terms in (8, 16)
+    )
+    increases = np.subtract(of_terms, of_one)
+    expected = 2.0 * radius * np.array([line.size_um[1], 2.0 * radius * math.prod(field.size_um)])
+    steps = 18.0 * np.minimum(expected, 1.0)
+    parts = 2.0 if plan.method == "jacobi-anger" else 1.0
+    np.testing.assert_allclose(increases[1] / increases[0], np.divide(*(steps + parts * expected)[::-1]), rtol=1e-6)
+
+
+def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_function_of_w():
+    """Without a number of functions, as many as terms in whole registers."""
+    plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
+    for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:
+        sized = dataclasses.replace(plan, w_basis_size=size, terms=terms)
+        assert cost_model.look_up_multiply_adds(sized) == 27.0 * functions

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from conftest import hemisphere
 
+import warpdiff as wd
 from warpdiff.planner import validation_directions
-from warpdiff.request.directions import DirectionSample
+from warpdiff.request.directions import DirectionRange, DirectionSample
 
 
 def test_either_set_represents_all_candidates(rng):
@@ -35,3 +36,50 @@ def test_few_candidates_are_all_validation_directions(count, rng):
     assert len(validation) == count
     assert len(training) == min(count, 128)
     assert training.weights.sum() == pytest.approx(count, rel=0.2)
+
+
+def test_directions_of_a_large_measure_are_drawn_once_and_the_others_in_their_place(rng):
+    """Each direction stands for itself over the probability that it is drawn."""
+    lights = hemisphere(rng, 1000)
+    candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
+    measure = np.ones(1000)
+    # 100 draws meet all of the first ten; without these, 50 is more than its share as well.
+    measure[:10], measure[10] = 1e3, 50.0
+    drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
+    index = {tuple(light): k for k, light in enumerate(lights)}
+    places = np.array([index[tuple(light)] for light in drawn.to_lights])
+    assert len(places) == len(set(places)) == 100
+    assert set(range(11)) <= set(places)
+    share = np.where(places < 11, 1.0, 89.0 / 989.0)
+    np.testing.assert_allclose(drawn.weights, 3.0 * candidates.weights[places] / share)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_few_directions_at_an_order_are_candidates(axis, rng):
+    """A sine's first order, anywhere in the visible band; all other directions look past it, or are dim."""
+    grating = wd.gratings.sinusoidal(2.0, 0.1)
+    heights = np.tile(grating.heights_um, (6, 1))
+    pitch = 0.15, grating.pitch_um[1]
+    heightfield = wd.HeightField.of_known_scale(heights if axis else heights.T, pitch if axis else pitch[::-1])
+    count, few = 6000, 12
+    along = rng.choice([-1.0, 1.0], count) * rng.uniform(0.1, 0.5, count)
+    aside = rng.choice([-1.0, 1.0], count) * rng.uniform(0.15, 0.5, count)
+    at_order, dim = np.split(rng.permutation(count)[: 5 * few], [few])
+    along[at_order], aside[at_order] = np.linspace(0.2, 0.38, few) * rng.choice([-1.0, 1.0], few), 0.001
+    along[dim], aside[dim] = np.linspace(0.2, 0.38, 4 * few) * rng.choice([-1.0, 1.0], 4 * few), 0.0
+    gains = np.full(count, 2.0)
+    gains[at_order], gains[dim] = 1.0, 1e-4
+    u, v = (along, aside) if axis else (aside, along)
+    sample = DirectionSample(
+        np.column_stack([u, v, np.full(count, -1.7)]), np.tile([0.0, 0.0, 1.0], (count, 1)), gains,
+        np.ones(count),
+    )  # fmt: skip
+    plan = wd.plan(heightfield, [0.0, 0.0, 1.0], [0.5, 0.0, 0.8], method="low-rank")
+    chosen, is_edge_case = validation_directions.candidates(
+        heightfield, DirectionRange(0.8, 0.8, 1.7, 1.7), sample, plan, threads=1
+    )
+    index = {tuple(vector): k for k, vector in enumerate(sample.scattering_vectors)}
+    edge_cases = {index[tuple(vector)] for vector in chosen.scattering_vectors[is_edge_case]}
+    assert set(at_order.tolist()) <= edge_cases
+    assert chosen.weights.sum() == pytest.approx(count)
+    assert 1000 <= len(chosen) - len(edge_cases) <= 1024

@@ -136,9 +136,15 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
 
 
 @pytest.mark.parametrize("octaves", [2, 3])
-@pytest.mark.parametrize(("nodes", "w_basis_size"), [(4, 4), (7, 12), (8, 20)])
-def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, octaves, rng):
-    """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends."""
+@pytest.mark.parametrize(
+    ("nodes", "w_basis_size", "reach"),
+    [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
+)
+def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, reach, octaves, rng):
+    """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends.
+
+    Without rows beyond the last colour's, the start of the spline filter at its dark end shows, too.
+    """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
     taps = colour_curves.ring_count(nodes)
@@ -150,7 +156,7 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, octave
     matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
     projector = kernels.projector(lanes, w_basis_size)
-    length = nodes + taps - 1 + FILTER_REACH
+    length = nodes + taps - 1 + reach
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
     colours = wp.zeros(rays[1] * nodes, dtype=lookup(w_basis_size).row, device="cpu")
     groups = rays[1] // projector.abreast

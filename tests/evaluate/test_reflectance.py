@@ -1,0 +1,111 @@
+"""Reflectance by the direct sum, maps and the absolute BRDF, against references and closed forms."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from conftest import at_angle, hemisphere, relative_errors
+
+import warpdiff as wd
+from bench.truth import reference
+from warpdiff.evaluate import reflectance as module
+
+UP = (0.0, 0.0, 1.0)
+# Orders of a short line overlap under it.
+SHORT = wd.Coherence(sigma_um=0.3)
+
+
+@pytest.fixture(scope="module")
+def line():
+    """A random line of 16 samples."""
+    return wd.HeightField(np.random.default_rng(4).uniform(0.0, 0.03, (1, 16)), 0.09)
+
+
+def test_direct_colours_are_those_of_the_reference_and_report_their_progress(line, rng):
+    lights, views = hemisphere(rng, 5, 0.3), hemisphere(rng, 5, 0.3)
+    views[3] *= -1.0
+    shares = []
+    options = {"coherence": SHORT, "tolerance": 1e-3, "method": "direct"}
+    colours = wd.reflectance(line, lights, views, progress=shares.append, **options)
+    exact = reference.reference_reflectance(line, lights, views, SHORT, tolerance=1e-4)
+    assert not colours[3].any()
+    lit = np.arange(5) != 3
+    assert relative_errors(colours[lit], exact[lit]).max() < 1e-3
+    # A direction below the horizon takes no time.
+    np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
+
+
+def test_direct_colours_that_have_not_converged_are_warned_of(line, monkeypatch):
+    """The step is halved as long as fewer wavelengths than the limit result."""
+    counts = []
+    sums = module.direct_sum.window_power
+
+    def counted(heightfield, coherence, scattering_vectors, wavelengths_um, **options):
+        counts.append(len(wavelengths_um))
+        return sums(heightfield, coherence, scattering_vectors, wavelengths_um, **options)
+
+    monkeypatch.setattr(module.direct_sum, "window_power", counted)
+    options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
+    wd.reflectance(line, at_angle(10.0), UP, **options)
+    first = counts[0]
+    # Only new wavelengths are computed: as many as there are, less one.
+    totals = list(itertools.accumulate(counts))
+    assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
+    monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)
+    monkeypatch.setattr(module, "_DIRECT_SETTLED", 0.0)
+    counts.clear()
+    with pytest.warns(wd.WarpdiffWarning, match="direct sum of 1 of 1 directions has not converged at"):
+        wd.reflectance(line, at_angle(10.0), UP, **options)
+    assert counts == [first, first - 1]
+    monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first)
+    counts.clear()
+    with pytest.warns(wd.WarpdiffWarning, match="has not converged"):
+        wd.reflectance(line, at_angle(10.0), UP, **options)
+    assert counts == [first]
+
+
+def test_the_brdf_of_a_mirror_under_a_window_is_four_pi_sigma_squared_over_the_squared_wavelength():
+    """Times R (1 + ωi·ωr)² / (cos θi cos θr w²), which is 1 in the mirror direction; 0 below the horizon."""
+    mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
+    options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
+    for angle in (0.0, 40.0):
+        expected = 4.0 * math.pi * (300.0 / wavelengths) ** 2
+        result = wd.brdf(mirror, at_angle(angle), at_angle(-angle), wavelengths, **options)
+        np.testing.assert_allclose(result, expected, rtol=1e-4)
+    both = np.array([at_angle(40.0), at_angle(100.0)])
+    np.testing.assert_array_equal(wd.brdf(mirror, both, both, wavelengths, **options)[1], 0.0)
+    np.testing.assert_array_equal(wd.brdf(mirror, both[1], UP, wavelengths, **options), 0.0)
+
+
+def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
+    """From the left to the right x grows, and from the top to the bottom y falls."""
+    light = at_angle(20.0)
+    plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
+    image = wd.reflectance_map(line, light, size=6, samples_per_pixel=4, plan=plan)
+    centres = (np.arange(12) + 0.5) / 6.0 - 1.0
+    x, y = np.meshgrid(centres, -centres)
+    inside = np.hypot(x, y) < 1.0
+    views = np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)
+    colours = np.zeros((12, 12, 3))
+    colours[inside] = wd.reflectance(line, light, views[inside], plan=plan)
+    np.testing.assert_allclose(image.xyz, colours.reshape(6, 2, 6, 2, 3).mean(axis=(1, 3)), rtol=1e-4, atol=1e-7)
+    share = inside.reshape(6, 2, 6, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(image.coverage, share)
+    np.testing.assert_array_equal(image.mask, share > 0.0)
+    assert set(np.unique(share)) > {0.0, 1.0}
+    # Errors are relative to the colour, or to the floor.
+    np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
+    assert not image.error[~image.mask].any()
+
+
+def test_a_normalised_brdf_does_not_depend_on_directions_beside_it():
+    grating, view = wd.gratings.blazed(1.7, 0.2), at_angle(-20.0)
+    lights = np.array([at_angle(30.0), at_angle(100.0)])
+    options = {"coherence": SHORT, "ior": math.inf, "energy": "normalised", "tolerance": 1e-2}
+    both, one = wd.brdf(grating, lights, view, 500.0, **options), wd.brdf(grating, lights[0], view, 500.0, **options)
+    np.testing.assert_allclose(both[0], one, rtol=1e-4)
+    assert not both[1].any()
+    assert not math.isclose(
+        one[0], wd.brdf(grating, lights[0], view, 500.0, **options | {"energy": "stam"})[0], rel_tol=1e-3
+    )

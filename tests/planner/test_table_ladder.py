@@ -1,0 +1,159 @@
+"""Table ladder on trials whose errors are closed forms: the smallest table that meets the target, in few steps."""
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.planner import cost_model, table_ladder
+from warpdiff.tables import mip_layout, polar_grid
+
+TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
+SIZES = dict(polar_grid.TABLE_SIZES)
+# The size that is tried first at this tolerance: the first one of which half of the tolerance is expected.
+FIRST = 32
+
+
+@pytest.fixture(scope="module")
+def plan(fingers):
+    options = {"method": "low-rank", "tolerance": TOLERANCE, "coherence": wd.Coherence(sigma_um=3.25)}
+    result = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], **options)
+    return dataclasses.replace(result, terms=8)
+
+
+class Tables:
+    """Trial whose tables meet the target from a number of rings on, with errors of second order, or of any law.
+
+    Sampled wavelengths have an error by the number of terms.
+    """
+
+    validation_set = range(5)
+
+    def __init__(self, heightfield, plan, sufficient=0, *, bright=math.inf, law=None, sampled=lambda _terms: 0.0):
+        self.heightfield, self.reference, self.bright = heightfield, plan, (bright, bright)
+        self._law = law or (lambda table: 0.99 * TARGET * (sufficient / table.rings_per_octave) ** 2)
+        self._sampled, self.tried = sampled, []
+
+    def validation_error(self, plan):
+        self.tried.append(plan)
+        return self._law(plan) if plan.rings_per_octave else self._sampled(plan.terms)
+
+    def with_w_basis(self, plan, more=0):
+        return dataclasses.replace(plan, w_basis_size=8 + more)
+
+    def most_terms(self, _plan):
+        return 32
+
+    def fitted(self, _plan):
+        return SimpleNamespace(truncation_errors=10.0 ** (-np.arange(33) / 4.0))
+
+    def update_floors(self, plan):
+        pass
+
+    def smallest(self, **options):
+        defaults = {"footprint": False, "needed": False, "affordable": math.inf}
+        return table_ladder.smallest_table(self.reference, self, **defaults | options)
+
+
+def cost(trial, rings):
+    sized = dataclasses.replace(
+        trial.reference, rings_per_octave=rings, azimuths_per_width=SIZES[rings], w_basis_size=8
+    )
+    return cost_model.table_multiply_adds(trial.heightfield, sized), mip_layout.megabytes(sized)
+
+
+@pytest.mark.parametrize(("sufficient", "count"), [(16, 1), (32, 1), (48, 2), (64, 2), (96, 3), (128, 3)])
+def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
+    """None has more than twice the rings of the one before; none smaller than the first one is tried."""
+    trial = Tables(fingers, plan, sufficient)
+    table = trial.smallest()
+    assert table.rings_per_octave == max(sufficient, FIRST)
+    assert table.azimuths_per_width == SIZES[table.rings_per_octave]
+    sizes = [tried.rings_per_octave for tried in trial.tried if tried.rings_per_octave]
+    assert len(set(sizes)) == count
+    assert max(np.divide(sizes[1:], sizes[:-1]), default=1.0) <= 2.0
+    assert table.error == pytest.approx(1.6 * trial.validation_error(table))
+    assert (table.is_measured, table.validation_size, table.footprint) == (True, 5, False)
+    assert (table.truncation, table.neighbourhood, table.rounding) == (0.0, 0.0, 0.0)
+    assert table.table_multiply_adds == cost(trial, table.rings_per_octave)[0]
+    assert table.multiply_adds == cost_model.look_up_multiply_adds(table)
+
+
+def test_few_bright_directions_or_separate_orders_begin_with_a_larger_table(fingers, plan):
+    assert Tables(fingers, plan, 16, bright=63).smallest().rings_per_octave == 64
+    assert Tables(fingers, plan, 16, bright=64).smallest().rings_per_octave == FIRST
+    assert Tables(wd.gratings.sinusoidal(2.0, 0.1), plan, 16).smallest().rings_per_octave == 64
+
+
+def test_tables_that_miss_the_target_serve_footprints_and_explicit_calls_alone(fingers, plan):
+    for options, rings in [({}, None), ({"footprint": True}, FIRST), ({"needed": True}, 128)]:
+        table = Tables(fingers, plan, 500).smallest(**options)
+        assert (table and table.rings_per_octave) == rings
+
+
+def test_a_footprint_or_an_explicit_call_begins_in_the_middle_where_no_size_is_expected_to_suffice(fingers, plan):
+    tight = dataclasses.replace(plan, tolerance=1e-4)
+    assert Tables(fingers, tight, law=lambda _table: 0.0).smallest() is None
+    for options in ({"footprint": True}, {"needed": True}):
+        assert Tables(fingers, tight, law=lambda _table: 0.0).smallest(**options).rings_per_octave == 32
+
+
+def test_tables_that_cost_too_much_are_not_made(fingers, plan):
+    trial = Tables(fingers, plan, 64)
+    least, more = cost(trial, FIRST)[0], cost(trial, 48)[0]
+    assert trial.smallest(affordable=0.99 * least) is None
+    assert not trial.tried
+    assert trial.smallest(affordable=0.99 * more) is None
+    # A call that needs one has the largest that it can afford.
+    assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 24
+    assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
+    assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
+    assert trial.smallest(affordable=0.99 * cost(trial, 8)[0], needed=True) is None
+
+
+def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, monkeypatch):
+    trial = Tables(fingers, plan, 500)
+    for rings, next_rings in [(16, 24), (96, 128)]:
+        monkeypatch.setattr(polar_grid, "MOST_MEGABYTES", 0.5 * (cost(trial, rings)[1] + cost(trial, next_rings)[1]))
+        assert trial.smallest(needed=True).rings_per_octave == rings
+
+
+@pytest.mark.parametrize(("richer", "expected"), [(0.4, (FIRST, 12)), (0.6, (48, 8))])
+def test_more_functions_of_w_are_kept_if_they_halve_the_error(fingers, plan, richer, expected):
+    def law(table):
+        return 1.5 * TARGET * (FIRST / table.rings_per_octave) ** 2 * (richer if table.w_basis_size > 8 else 1.0)
+
+    table = Tables(fingers, plan, law=law).smallest()
+    assert (table.rings_per_octave, table.w_basis_size) == expected
+
+
+def test_the_fewest_terms_within_half_of_the_target_are_read_off_the_residuals(fingers, plan):
+    """With 8 terms the error is the target; four terms more divide it by ten, and two by 3.2."""
+    several = dataclasses.replace(plan, terms=24)
+    trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
+    table = trial.smallest()
+    assert table.terms == 10
+    assert table.truncation == pytest.approx(TARGET / math.sqrt(10.0))
+    assert table.truncation + table.quadrature == pytest.approx(0.8 * TARGET)
+    assert [(tried.terms, tried.rings_per_octave) for tried in trial.tried] == [(8, 0), (10, FIRST)]
+
+
+@pytest.mark.parametrize(
+    ("sampled", "largest", "terms", "rings"), [(0.6, FIRST, 14, FIRST), (0.4, FIRST, 10, 48), (0.4, 48, 10, 64)]
+)
+def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(
+    fingers, plan, sampled, largest, terms, rings
+):
+    """Tables of 10 terms have too large an error up to a largest size; sampling is tried with them once."""
+
+    def law(table):
+        return TARGET * (1.5 if table.terms == 10 and table.rings_per_octave <= largest else 0.5)
+
+    several = dataclasses.replace(plan, terms=24)
+    trial = Tables(fingers, several, law=law, sampled=lambda count: TARGET * (1.0 if count == 8 else sampled))
+    table = trial.smallest()
+    assert (table.terms, table.rings_per_octave) == (terms, rings)
+    assert sum(not tried.rings_per_octave for tried in trial.tried) == 2

@@ -1,0 +1,171 @@
+"""Trials: values are those of the public functions, and errors are percentiles of them."""
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import hemisphere
+
+import warpdiff as wd
+from warpdiff.planner import strategy, trial
+from warpdiff.request.directions import DirectionSample
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import PlanSettings, SpectralSettings
+
+SHORT = wd.Coherence(sigma_um=3.25)
+ILLUMINANTS = "D65", "A"
+
+
+def trial_of(request, lights, views):
+    """The trial of a call and the plan from bounds."""
+    direction_range, sample, _ = strategy.directions_of(request, lights, views)
+    coarse = strategy._coarse_plan(request, direction_range)
+    upper = strategy.bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
+    plan = strategy._with_basis(upper, request, direction_range)
+    return trial.Trial(plan, request, direction_range, sample, coarse=coarse), plan
+
+
+@pytest.fixture(scope="module")
+def colours(fingers):
+    """A trial of 60 directions under two illuminants, its plan, and the directions."""
+    rng = np.random.default_rng(7)
+    lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
+    request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)
+    return *trial_of(request, lights, views), lights, views
+
+
+def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_function(fingers, colours):
+    measured, plan, lights, views = colours
+    assert measured.reference.wavelengths == 2 * plan.wavelengths - 1
+    assert measured.reference.method == "jacobi-anger"
+    exact = measured.exact(measured.validation_set)
+    for values, illuminant in zip(exact, ILLUMINANTS, strict=True):
+        expected = wd.reflectance(fingers, lights, views, plan=measured.reference, illuminant=illuminant)
+        np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-6 * expected.max())
+
+
+def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
+    """Each of the 60 directions has more than half a percent of the weight; 1e-3 of the brightest one is the floor."""
+    measured, plan, lights, views = colours
+    coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
+    largest, of_half = [], []
+    half = np.hypot(*(lights + views)[:, :2].T) <= 0.8
+    assert 10 < np.count_nonzero(half) < 50
+    for illuminant in ILLUMINANTS:
+        exact, values = (
+            wd.reflectance(fingers, lights, views, plan=numbers, illuminant=illuminant)
+            for numbers in (measured.reference, coarse)
+        )
+        scale = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * exact[:, 1].max())
+        errors = np.linalg.norm(values - exact, axis=1) / scale
+        largest.append(errors.max())
+        of_half.append(errors[half].max())
+    assert measured.validation_error(coarse) == pytest.approx(max(largest), rel=1e-2)
+    assert measured.training_error(coarse) == measured.validation_error(coarse)
+    assert measured.bright == (math.inf, math.inf)
+    assert measured.any_light
+    # Directions beyond the order rate that the reference serves are not judged by it.
+    complete = measured.reference
+    measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
+    assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
+    measured.reference = complete
+
+
+def test_a_basis_has_the_terms_that_were_fitted_and_a_series_those_of_the_bounds(colours):
+    measured, plan, _, _ = colours
+    assert measured.most_terms(measured.reference) == measured.reference.terms
+    assert measured.most_terms(plan) == measured.fitted(plan).terms >= plan.terms
+    assert measured.most_terms(dataclasses.replace(plan, method="taylor")) == plan.terms
+
+
+def test_spectra_are_those_of_the_public_function(fingers, rng):
+    gold, wavelengths = wd.Material.metal("Au"), np.linspace(400.0, 700.0, 5)
+    lights, views = hemisphere(rng, 40, 0.3), hemisphere(rng, 40, 0.3)
+    settings = SpectralSettings(coherence=SHORT, tolerance=1e-1, material=gold)
+    request = Evaluation.of(fingers, settings, wavelengths_nm=wavelengths)
+    measured, plan = trial_of(request, lights, views)
+    assert not measured.integrates
+    assert measured.reference.wavelengths == 0
+    expected = wd.spectral_reflectance(fingers, lights, views, wavelengths, plan=plan, material=gold)
+    result = measured.run(plan, measured.validation_set)
+    assert result.shape == (1, 200, 1)
+    np.testing.assert_allclose(result.reshape(40, 5), expected, rtol=1e-5)
+    exact = measured.exact(measured.validation_set).reshape(40, 5)
+    floor = 1e-3 * exact.max()
+    largest = np.max(np.abs(expected - exact) / np.maximum(exact, floor))
+    assert measured.validation_error(plan) == pytest.approx(largest, rel=1e-2)
+
+
+def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
+    luminance = np.concatenate([np.full(1000, 1.0), np.full(5, 1000.0)])
+    weights = np.ones(1005)
+    assert trial.reference_luminance(luminance, weights) == 1000.0
+    assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
+    # Two percent are seen by the percentile; a percent of the light is not, by the median.
+    luminance[-20:] = 50.0
+    assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
+    weights[-20:] = 0.25
+    assert trial.reference_luminance(luminance, weights) == 1.0
+    assert trial.reference_luminance(luminance[:0], weights[:0]) == 0.0
+    assert trial.reference_luminance(np.zeros(9), np.zeros(9)) == 0.0
+
+
+def test_the_worst_percentile_is_that_of_bright_or_of_dim_directions():
+    """The least error that 99.5 % of the weight does not exceed, of each illuminant and of both kinds."""
+    errors = np.array([np.arange(2000.0), np.zeros(2000)])
+    above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
+    group = SimpleNamespace(weights=np.ones(2000), above=above)
+    assert trial.worst_percentile(errors, group) == 1994.0
+    assert trial.worst_percentile(errors[::-1], group) == 1994.0
+    assert trial.worst_percentile(errors, group, np.arange(2000) < 1000) == 994.0
+    assert trial.worst_percentile(-errors, group) == 0.0
+    group.weights[1000:] = 1e-3
+    group.weights[1999] = 1.0
+    assert trial.worst_percentile(errors, group) == 1999.0
+
+
+def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
+    lights = hemisphere(rng, 6)
+    group = trial.Group(DirectionSample(-2.0 * lights, lights, np.ones(6), np.arange(6.0)), "cpu", 1)
+    exact = rng.uniform(0.1, 1.0, (2, 6, 3))
+    exact[:, 0] = 1e-3
+    floors = np.array([[0.05, 0.01], [0.5, 0.3]])
+    group.weigh(exact, floors)
+    values = exact + rng.normal(0.0, 0.01, exact.shape)
+    errors = group.errors(values, exact)
+    assert errors.shape == group.above.shape == (4, 6)
+    for row, (illuminant, k) in enumerate(np.ndindex(2, 2)):
+        floor, bright = floors[illuminant, k], exact[illuminant]
+        scale = np.maximum(np.linalg.norm(bright, axis=1), floor)
+        np.testing.assert_allclose(errors[row], np.linalg.norm(values[illuminant] - bright, axis=1) / scale)
+        np.testing.assert_array_equal(group.above[row], bright[:, 1] >= floor)
+
+
+def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
+    """The illuminant with the fewest counts; a floor without the brightest directions is lower."""
+    above = np.arange(100) < np.array([[40], [60], [30], [80]])
+    group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
+    group.above = above
+    measured = SimpleNamespace(
+        validation_set=group, _candidates=range(1000), _floors=np.ones((2, 2)), exact=lambda _group: None
+    )
+    assert trial.Trial.bright.fget(measured) == (30.0, 60.0)
+
+
+def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
+    rng = np.random.default_rng(9)
+    lights, views = hemisphere(rng, 500, 0.3), hemisphere(rng, 500, 0.3)
+    request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=0.5), illuminants=("D65",))
+    measured, _ = trial_of(request, lights, views)
+    training, validation = (
+        set(map(tuple, group.sample.scattering_vectors)) for group in (measured.training_set, measured.validation_set)
+    )
+    assert (len(training), len(validation)) == (128, 256)
+    assert not training & validation
+    assert len(measured.order_rate) == len(measured.w) == 128
+    assert all(len(values) == 500 for values in measured.rates)
+    # All directions are candidates: no floor is without the brightest ones.
+    assert measured._floors.shape == (1, 1)
+    assert 0.0 < measured.bright[0] <= 256.0
