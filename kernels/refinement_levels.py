@@ -5,15 +5,17 @@ Plain numbers, without Warp, for kernels and for those who launch them.
 
 import math
 
+from warpdiff.kernels.thresholds import PERCENTILE
+
 # The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
 # What of it lies in each of three pixels in a row.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level: 4,096 cells a pixel, of which a filter reaches some 36,900.
+# The finest level: 4,096 cells per pixel, so that the filter covers 36,864 with the eight pixels around.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# From this tolerance on pixels end at the level before: what that leaves is within it, and frames are to be fast.
+# From this tolerance on, the finest level is one lower: the error that remains is within the tolerance.
 COARSE_TOLERANCE = 0.05
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
 LEAST_LEVEL_OF_POINTS = 2
@@ -22,15 +24,16 @@ LEAST_LEVEL_OF_POINTS = 2
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# What finer cells change a tile by is predicted from second differences between quadrants. Tiles among which some cells
-# are lit and some are not are taken to change by more, and levels are chosen with so much caution. Fitted to the snake;
-# judged on other bodies and surfaces (docs/decisions/adaptive_sampling.md).
+# Factors of the predicted change of a tile where its level is selected: in all tiles, and where the tile and those
+# around have both cells that are lit and cells that are not. Fitted to the snake; judged on other bodies and surfaces
+# (docs/decisions/adaptive_sampling.md).
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
-# What errors are relative to at least: so much of the luminance that so many of the lit pixels exceed, as some tell.
-BRIGHTEST_SHARE = 0.01
+# Share of the illuminated pixels that are brighter than Y*; errors are relative to at least FLOOR · Y*. Errors that are
+# reported raise Y* to the median of the power, so that refinement is at least as strict.
+BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
 def rays_at(level: int) -> int:

@@ -6,10 +6,10 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels that are to be split, and of those that need not be but have cells, their own and all around; 0 is for
-# all others.
+# Marks of pixels: those that are subdivided, and those that use the cells which pixels around them require; 0 keeps its
+# own ray.
 ACTIVE = wp.constant(wp.uint8(1))
-CONVERGED = wp.constant(wp.uint8(2))
+SHARED = wp.constant(wp.uint8(2))
 # Bits of what the cells of a tile show, as kernels/native/cell_splats.h has them.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
@@ -144,7 +144,7 @@ def estimate_errors(
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_silhouette = met < around and subdivides_silhouettes
         is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))
-        marks_out[pixel] = wp.uint8(wp.where(is_active or all_pixels, 1, 0))
+        marks_out[pixel] = wp.where(is_active or all_pixels, ACTIVE, wp.uint8(0))
 
 
 @wp.kernel
@@ -219,7 +219,7 @@ def splat_cells(
         hit: Whether the cells hit the mesh.
         gains: Geometry factors of the last lobe; 0 where the cells are not lit.
         pixels: The pixels; −1 is none.
-        colours_before: Colours of the picture by one ray per pixel.
+        colours_before: Colours of the picture: by one ray per pixel, or resolved by an earlier group of tiles.
         ranks: By pixel of the picture, its index in the outputs; empty is its own number.
         weights: Weights of cells along one axis for the middle one of three pixels, (3 · 2ⁿ,).
         level: The level n of the cells.
@@ -244,16 +244,16 @@ def splat_cells(
 
 @wp.struct
 class FilteredSums:
-    """What the cells of tiles give to their own pixels and to those around them, as ``splat_cells`` finds it."""
+    """Sums over the cells of tiles, written by ``splat_cells``; quadrants and changes at the base level only."""
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # Estimated errors of 2 × 2 cells, as ``select_levels`` finds them.
+    # From ``splat_cells``, changes from the colours before; from ``select_levels`` on, estimated errors of 2 × 2 cells.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # By level, what the filter has in each of three pixels over the weights'.
+    # By level: the share of the filter in each of three pixels over the sum of the cells' weights there.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
@@ -268,14 +268,14 @@ def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
 
 @wp.func
 def quadrant_at(
-    sums: FilteredSums, chosen: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
-    height: wp.int32, own: wp.vec3f,
+    sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
+    height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """The colour of a quadrant by its row and column in the picture, and 1; ``own`` and 0 where no tile has it."""
-    result = wp.vec4f(own[0], own[1], own[2], 0.0)
+    """The colour of a quadrant by its row and column in the picture, and 1; zeros where its tile has no level."""
+    result = wp.vec4f()
     if row >= 0 and row < 2 * height and column >= 0 and column < 2 * width:
         pixel = (row // 2) * width + column // 2
-        if chosen[pixel] != wp.uint8(0):
+        if levels[pixel] != wp.uint8(0):
             colour = sums.quadrants[compact_index(sums.ranks, pixel), 2 * (row % 2) + column % 2]
             result = wp.vec4f(colour[0], colour[1], colour[2], 1.0)
     return result
@@ -296,13 +296,13 @@ def select_levels(
     floor: wp.array(dtype=wp.float32), tolerance: wp.float32, base: wp.int32,
     most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
-    changes_out: wp.array(dtype=wp.float32), chosen_out: wp.array(dtype=wp.uint8),
+    changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Predict by second differences what finer cells would change, and select the level of each tile at once.
 
     Args:
         sums: What the cells of the base level give.
-        tiles: The tiles; empty is all of the picture that are chosen.
+        tiles: The tiles; empty is all pixels of the picture that have a level.
         marks: Which pixels of the picture use cells.
         colours: Colours of the picture by the cells of the base level.
         width: Pixels in a row.
@@ -316,14 +316,15 @@ def select_levels(
         run: Number of tiles per thread.
         changes_out: Before, differences of tiles' means from the colours by one ray; after, estimated errors of 2 × 2
             cells, ‖ΔXYZ‖.
-        chosen_out: By pixel of the picture, the level of its tile; 0 has none before and after.
+        levels_out: By pixel of the picture, the level of its tile; 0 is no tile, before and after.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        if chosen_out[pixel] == wp.uint8(0):
+        # Other threads may have set a neighbour's level already: levels are only compared with 0, and none becomes 0.
+        if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
         row = pixel // width
@@ -334,12 +335,12 @@ def select_levels(
             y = 2 * row + quadrant // 2
             x = 2 * column + quadrant % 2
             square += second_difference2(
-                quadrant_at(sums, chosen_out, y - 1, x, width, height, own), own,
-                quadrant_at(sums, chosen_out, y + 1, x, width, height, own),
+                quadrant_at(sums, levels_out, y - 1, x, width, height), own,
+                quadrant_at(sums, levels_out, y + 1, x, width, height),
             )  # fmt: skip
             square += second_difference2(
-                quadrant_at(sums, chosen_out, y, x - 1, width, height, own), own,
-                quadrant_at(sums, chosen_out, y, x + 1, width, height, own),
+                quadrant_at(sums, levels_out, y, x - 1, width, height), own,
+                quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
         # The root mean square over the quadrants, for the distance of whole pixels.
         second = 0.5 * wp.sqrt(0.25 * square)
@@ -352,7 +353,7 @@ def select_levels(
                 x = column + 1 - side
                 if y >= 0 and y < height and x >= 0 and x < width:
                     there = y * width + x
-                    if chosen_out[there] != wp.uint8(0):
+                    if levels_out[there] != wp.uint8(0):
                         lighting = lighting | sums.lighting[compact_index(sums.ranks, there)]
                     if marks[there] != wp.uint8(0):
                         share = FILTER_SHARES[line] * FILTER_SHARES[side]
@@ -361,12 +362,13 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # Errors fall with the square of the number of cells along an axis. The nearest level in log2 is taken.
+        # Levels are selected as if errors fell with the square of the number of cells along an axis; ERROR_ORDER of
+        # the estimated errors is a more careful fit. The nearest level in log2 is taken.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
             level = wp.max(level, wp.min(silhouette_level, most))
-        chosen_out[pixel] = wp.uint8(level)
+        levels_out[pixel] = wp.uint8(level)
 
 
 @wp.kernel
@@ -405,8 +407,8 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # Pixels that are split unequally leave edges between them as they are if each counts for what the filter has
-        # there; alike, they are the filter together, and closer to it by themselves.
+        # Tiles of unequal levels each count by their exact share of the filter (``apart``), which leaves no steps
+        # between them. Tiles of equal levels are closer to the filter by the sum over all of them (``together``).
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)
@@ -431,7 +433,7 @@ def resolve_pixels(
                 weight_apart += share
                 error = share * sums.changes[there] * wp.pow(0.5, ERROR_ORDER * wp.float32(level - 1))
                 square += error * error
-        # Of what there is of the picture.
+        # The filter may reach beyond the picture.
         total = together / weight_together
         if least != most:
             total = apart / weight_apart
@@ -439,7 +441,7 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = ERROR_PER_CHANGES * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
-        # Whichever light comes last.
+        # Whatever the order of lights is, the finest cells count, and then the larger coverage.
         coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
         before = wp.int32(coverage_levels_out[pixel])
         if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):

@@ -4,7 +4,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, refinement_levels, thresholds
 from warpdiff.kernels.atomics import atomic_increment
-from warpdiff.kernels.subdivision import CONVERGED
+from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
@@ -115,26 +115,26 @@ def dilate_marks(
 
 
 @wp.kernel
-def mark_interior(
+def mark_shared(
     # In:
-    marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
+    levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark as settled the pixels that are not wanted but marked with all around them."""
+    """Mark the pixels without a mark whose own tile and those around all have a level: they use these cells."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
-        if marks_out[i] == wp.uint8(0) and marks_around(marks, i, width, height)[0] != wp.uint8(0):
-            marks_out[i] = CONVERGED
+        if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
+            marks_out[i] = SHARED
 
 
 @wp.kernel
-def compact_marks(
+def compact_level(
     # In:
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
     # Out:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """The pixels of a level, in whatever order: none depends on those beside it."""
+    """List the pixels of a level, in any order: tiles do not depend on each other."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if levels[i] == level:
             pixels_out[atomic_increment(counts_out, 0)] = i

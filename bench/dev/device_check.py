@@ -7,8 +7,8 @@
 
 Frames are 640 × 480; light and view move from one to the next. Pictures cover all kinds of light and coherence. Both
 devices draw with one plan. A device rounds in its own way, and may subdivide another pixel than the other device does;
-so the CPU draws the picture once more with the light turned by 2e-7, about the rounding of its direction. What two
-devices differ by is to be read beside what that changes.
+so the CPU draws the picture once more with the light turned by 2e-7, about the rounding of its direction. The
+difference between two devices is to be compared with the difference that this turn makes.
 """
 
 from __future__ import annotations
@@ -90,11 +90,13 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # What a plan does not hold.
-    kept = {name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options}
+    # Options that a plan does not hold.
+    unplanned = {
+        name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
+    }
     others = {
-        "device": wd.shade(mesh, surface, lights, view, device=device, plan=on_cpu.plan, **kept),
-        "turned": wd.shade(mesh, surface, [turned(item) for item in lights], view, plan=on_cpu.plan, **kept),
+        "device": wd.shade(mesh, surface, lights, view, device=device, plan=on_cpu.plan, **unplanned),
+        "turned": wd.shade(mesh, surface, [turned(item) for item in lights], view, plan=on_cpu.plan, **unplanned),
     }
     result: dict[str, Any] = {}
     for name, image in others.items():

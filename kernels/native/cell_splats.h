@@ -1,4 +1,4 @@
-// What a split pixel's cells add to that pixel and to the eight around it, through the pixels' filter.
+// Sums over the cells of a subdivided pixel, for that pixel and the eight around it, weighted by the pixels' filter.
 
 #pragma once
 

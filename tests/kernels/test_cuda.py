@@ -41,8 +41,8 @@ KERNELS = {
     "subdivision": {"accumulate", "add_occluded_power", "add_penumbra_error", "select_levels",
                     "resolve_pixels", "estimate_errors", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
-    "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_marks", "dilate_marks",
-                   "mark_interior", "copy_batch", "luminance_histogram"},
+    "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_level", "dilate_marks",
+                   "mark_shared", "copy_batch", "luminance_histogram"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip

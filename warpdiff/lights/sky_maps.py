@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.spectra import Spectrum
 
-# Rows of the grid of directions that is blurred: 0.35°. The first level is blurred by so much [rad], each next one by
-# twice as much; grids of a level have steps of half its blur at most, and maps texels as wide as it, but for the last.
+# Rows of the grid of directions, in steps of 0.35°. The first level is blurred by so much [rad], each next one by twice
+# as much. From the second level on, steps of the grid are at most half the blur; texels of maps are about as wide as
+# the blur, and narrower in the last two levels.
 _ROWS, FIRST_BLUR, _LEVELS = 512, 0.00625, 8
 _STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
 # Number of texels along a side of each level's map.
 SIDES = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
+# Number of iterations that make a blur along meridians keep the power (Sinkhorn).
 _TURNS = 40
 # Weights along meridians beyond so many deviations of the blur are below the rounding of float64. So many rows are
 # blurred at once: few weights of a block are then 0, and blocks are large enough for fast matrix products.

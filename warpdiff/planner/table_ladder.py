@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# A table helps if it has at most this share of the error of the one before, and at most twice the error that follows
-# from the order of convergence. Derived: the next size has at least 1.3 times the rings.
+# A larger table helps if it has at most this share of the least error so far, and at most twice the error that the
+# order of convergence predicts. Limit: by that order, 1.3 times the rings have a share of 0.6.
 _HELPS = 0.7
 
 
@@ -34,7 +34,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
     Args:
         plan: The plan from bounds.
-        trial: Directions of the call.
+        trial: Training and validation directions of the call, and their reference.
         footprint: Whether pixels show means.
         needed: Whether the largest table is tried before none is returned.
         affordable: Multiply-adds that making one may cost.
@@ -108,11 +108,12 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
     )  # fmt: skip
 
 
-def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, needed: Plan | None) -> int | None:
+def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
     """The next size if the present one's error exceeds the target by a factor, or None where no size will do.
 
     It is the first whose error fits by the order of convergence, but has at most twice the rings: small tables do not
-    converge by it yet. Where none fits, a plan that needs a table goes on with the largest of these.
+    converge by it yet. Where none fits, a plan that needs a table (``explicit``) goes on with the largest of these that
+    fits into memory.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))
@@ -120,12 +121,12 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, nee
     for k in larger:
         if excess * (rings / sizes[k][0]) ** polar_grid.ERROR_ORDER <= 1.0:
             return min(k, within[-1])
-    if needed is None:
+    if explicit is None:
         return None
     fitting = [
         k
         for k in within
-        if mip_layout.megabytes(replace(needed, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
+        if mip_layout.megabytes(replace(explicit, rings_per_octave=sizes[k][0], azimuths_per_width=sizes[k][1]))
         <= polar_grid.MOST_MEGABYTES
     ]
     return fitting[-1] if fitting else None

@@ -81,7 +81,7 @@ class DeviceTiles:
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
-        self._launch(tile_lists.mark_interior, [self._group.levels, *self._shape], [self.marks])
+        self._launch(tile_lists.mark_shared, [self._group.levels, *self._shape], [self.marks])
         yield self._group
 
     def shade(
@@ -93,7 +93,7 @@ class DeviceTiles:
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()
         self._offset.zero_()
-        self._launch(tile_lists.compact_marks, [group.levels, level], [self._tiles, self._tile_count])
+        self._launch(tile_lists.compact_level, [group.levels, level], [self._tiles, self._tile_count])
 
         def advance_batch(count: int) -> None:
             inputs, outputs = [self._tile_count, count], [self._offset, self._remaining]

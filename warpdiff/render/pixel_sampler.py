@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 # Limit of the samples per pixel whose directions are measured; cells of means that are measured in all, as these see
 # directions that pixels' centres do not, and their limit per pixel.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
-# Shadow rays per hit of a picture that is refined (fitted to the snake: 41 at a tolerance of 1e-1, 119 at 3e-2).
-_SHADOW_RAYS_REFINED = 40
 
 
 class LobeIndex(NamedTuple):
@@ -42,9 +40,9 @@ class PixelSampler:
         samples: The last lobe at the hits of the last sample.
     """
 
-    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, refine: bool) -> None:
+    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int) -> None:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
-        self._shadow_rays_per_hit = _SHADOW_RAYS_REFINED if means and refine else samples_per_pixel
+        self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
             context.rays.size, means=means, has_materials=context.has_materials, device=context.device
         )
@@ -87,7 +85,9 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Sample a lobe at the hits of a sample of every pixel, and add its pigment; nothing if this is the last call.
+        """Sample a lobe at the hits of a sample of every pixel, and add its pigment.
+
+        Nothing is done if the call before had the same sample and lobe.
 
         Rays are traced first, if their hits are those of another sample.
         """

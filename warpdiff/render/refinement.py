@@ -1,8 +1,7 @@
 """Refinement: which pixels are subdivided into cells, to which level, and in which order.
 
-One loop serves both kinds of device. A :class:`TileExecutor` shades the cells: the host's threads look at counts
-between levels and end early, report progress and can be cancelled; a GPU decides by itself, as a recorded graph cannot
-ask the host.
+One loop serves both kinds of device. A :class:`TileExecutor` shades the cells. On the CPU, the host lists the tiles of
+each level, reports progress and can be cancelled. A GPU lists them itself, as a recorded graph cannot ask the host.
 """
 
 from __future__ import annotations
@@ -191,7 +190,7 @@ class TileExecutor(Protocol):
         """Number of pixels that were subdivided, of the light of which these are most."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Forget what tiles gave, and from now on keep it for finer tolerances, or do not."""
+        """Forget what tiles gave; if asked to, keep from now on what they give for finer tolerances."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin a light at a tolerance: find the floor."""
@@ -223,7 +222,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light until no pixel is active.
+        """Refine a light: shade the base level, select the level of each tile, and shade those levels.
 
         It is first refined to the larger tolerance of each preview, whose function is then called. Previews do not
         change the final picture: each refinement begins from one ray per pixel, and reuses tiles that are shaded
@@ -253,7 +252,7 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level:
-                    # Levels are selected by filtered colours: dark pixels beside bright ones would take more cells.
+                    # Without the filter, dark pixels beside bright ones would take too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

@@ -1,4 +1,4 @@
-"""Tiles on the CPU: threads shade slices of them, and the host looks at counts between levels."""
+"""Tiles on the CPU: the host lists the tiles of each level, and threads shade them in slices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Limit of the pixels that are subdivided together, each of which takes some 40 numbers.
+# Limit: number of pixels that are subdivided together; each of their tiles takes some 200 bytes.
 _MOST_PIXELS = 1 << 17
 
 
@@ -42,10 +42,9 @@ class HostTileGroup(TileGroup):
     ranks: NDArray[np.int32]
     host_levels: NDArray[np.uint8]
 
-    @property
-    def results(self) -> list[NDArray[Any]]:
-        """What the cells of the tiles give, by index in ``sums``."""
-        names = "filtered_sums", "quadrants", "changes", "levels", "lighting"
+    def results(self, *, is_base: bool) -> list[NDArray[Any]]:
+        """What the cells of the tiles of a level give, by index in ``sums``."""
+        names = "filtered_sums", "levels", "lighting", *(("quadrants", "changes") if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
@@ -56,7 +55,9 @@ class _ShadedTiles:
         # By level: tiles, and what each gave.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
-    def fill(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def fill(
+        self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
+    ) -> NDArray[np.bool_]:  # fmt: skip
         """Copy what tiles gave before at a level; return which of them gave nothing."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
@@ -66,14 +67,14 @@ class _ShadedTiles:
         row = rows[tiles]
         is_known: NDArray[np.bool_] = row >= 0
         ranks, row = group.ranks[tiles[is_known]], row[is_known]
-        for values, known in zip(group.results, results, strict=True):
+        for values, known in zip(group.results(is_base=is_base), results, strict=True):
             values[ranks] = known[row]
         return ~is_known
 
-    def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32]) -> None:
+    def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
         """Keep what the tiles of a group gave."""
         ranks = group.ranks[tiles]
-        self._by_level[level] = tiles, [values[ranks] for values in group.results]
+        self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 
 
 class ThreadedTiles:
@@ -98,7 +99,7 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Forget what tiles gave, and from now on keep it for finer tolerances, or do not."""
+        """Forget what tiles gave; if asked to, keep from now on what they give for finer tolerances."""
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
@@ -136,7 +137,7 @@ class ThreadedTiles:
         # Pixels that need no cells use those that are there for the sake of others, where they have all of them.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
-        self._marked[between] = subdivision.CONVERGED
+        self._marked[between] = subdivision.SHARED
         ranks = np.empty_like(self._marked, dtype=np.int32)
         ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
         sums = light.empty_tile_sums(len(tiles))
@@ -154,9 +155,9 @@ class ThreadedTiles:
         """Shade the cells of a group's tiles of a level, and splat them to the pixels around."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
-        is_new = np.ones(len(tiles), dtype=np.bool_)
+        is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)
         if self._shaded is not None:
-            is_new = self._shaded.fill(level, group, tiles)
+            is_new = self._shaded.fill(level, group, tiles, is_base=is_base)
         buffers = self._buffers_of(light.buffer_kind)
         pipeline = Pipeline(light.shade_cells(level, buffers.buffers, group.sums))
         batches = list(pixel_filter.parts(tiles[is_new], level))
@@ -167,7 +168,7 @@ class ThreadedTiles:
                 progress=subprogress(progress, index / len(batches), (index + 1) / len(batches)),
             )  # fmt: skip
         if self._shaded is not None:
-            self._shaded.store(level, group, tiles)
+            self._shaded.store(level, group, tiles, is_base=is_base)
 
     def _buffers_of(self, kind: BufferKind) -> SharedTileBuffers:
         if kind not in self._buffers:
