@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
+# Share of the tolerance that the error of the first table is expected to have. Fitted: planning times of 32 calls
+# (docs/decisions/plans_and_tolerance.md); with twice the share every second first table fails.
+_FIRST_SHARE = 0.35
 # A larger table helps if it has at most this share of the least error so far, and at most twice the error that the
 # order of convergence predicts. Limit: by that order, 1.3 times the rings have a share of 0.6.
 _HELPS = 0.7
@@ -45,7 +48,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
-    size = _first_size(plan, trial, target, needed=needed or footprint)
+    size = _first_size(plan, trial, needed=needed or footprint)
     best, least, w_basis_size = None, math.inf, 0
     sampled_error: float | None = None
     last_rings = 0
@@ -88,13 +91,16 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     return best if needed or footprint or least <= target else None
 
 
-def _first_size(plan: Plan, trial: Trial, target: float, *, needed: bool) -> int | None:
-    """The index of the first size whose error is likely to be within the target; a middle one if a table is needed."""
+def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
+    """The index of the size to begin with; a middle one if a table is needed and none is expected to suffice."""
     # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
-    return next((k for k, error in enumerate(errors) if error <= target), len(sizes) // 2 if needed else None)
+    return next(
+        (k for k, error in enumerate(errors) if error <= _FIRST_SHARE * plan.tolerance),
+        len(sizes) // 2 if needed else None,
+    )
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
