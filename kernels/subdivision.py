@@ -292,9 +292,8 @@ def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.f
 def select_levels(
     # In:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
-    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32,
-    floor: wp.array(dtype=wp.float32), tolerance: wp.float32, base: wp.int32,
-    most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
+    tolerance: wp.float32, base: wp.int32, most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip

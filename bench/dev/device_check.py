@@ -80,9 +80,8 @@ def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any]
 
 def turned(light: Any) -> Any:
     """The light, turned or moved by about the rounding of its direction."""
-    if isinstance(light, wd.PointLight):
-        return replace(light, position=tuple(np.array(light.position) * (1.0 + TURN * np.array([1.0, -1.0, 0.0]))))
-    return replace(light, to_light=tuple(np.array(light.to_light) * (1.0 + TURN * np.array([1.0, -1.0, 0.0]))))
+    name = "position" if isinstance(light, wd.PointLight) else "to_light"
+    return replace(light, **{name: tuple(np.array(getattr(light, name)) * (1.0 + TURN * np.array([1.0, -1.0, 0.0])))})
 
 
 def picture_differences(case: Any, device: str) -> dict[str, Any]:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 # Share of a light's progress that the pixels' own rays take (fitted to a picture at a tolerance of 1e-1).
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Shadow rays per hit of a picture that is refined (fitted to the snake: 24 at a tolerance of 1e-1, 60 at 3e-2).
+# Shadow rays per hit of a picture that is refined (fitted to the snake: 20 at a tolerance of 1e-1, 59 at 3e-2).
 _SHADOW_RAYS_REFINED = 24
 # Number of pixels per slice of the look-ups of own rays on the CPU.
 _COLOURS_OF_SLICE = 2048

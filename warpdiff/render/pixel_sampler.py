@@ -87,9 +87,8 @@ class PixelSampler:
     ) -> None:
         """Sample a lobe at the hits of a sample of every pixel, and add its pigment.
 
-        Nothing is done if the call before had the same sample and lobe.
-
-        Rays are traced first, if their hits are those of another sample.
+        Nothing is done if the call before had the same sample and lobe. Rays are traced first, if their hits are those
+        of another sample.
         """
         if (self._sample, self._lobe) == (sample, index):
             return
