@@ -24,15 +24,15 @@ LEAST_LEVEL_OF_POINTS = 2
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# Factors of the predicted change of a tile where its level is selected: in all tiles, and where the tile and those
-# around have both cells that are lit and cells that are not. Fitted to the snake; judged on other bodies and surfaces
-# (docs/decisions/adaptive_sampling.md).
+# When the level of a tile is selected, its predicted change is multiplied by CAUTION, and by EDGE_FACTOR, too, where the
+# tile and those around have both cells that are lit and cells that are not. Fitted to the snake; judged on other bodies
+# and surfaces (docs/decisions/adaptive_sampling.md).
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
-# Share of the illuminated pixels that are brighter than Y*; errors are relative to at least FLOOR · Y*. Errors that are
-# reported raise Y* to the median of the power, so that refinement is at least as strict.
+# Share of the illuminated pixels that are brighter than Y*; errors are relative to at least FLOOR · Y*. Reported
+# errors use a larger Y* where the median of the power exceeds it; refinement does not, and is at least as strict.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
