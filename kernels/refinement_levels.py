@@ -24,9 +24,9 @@ LEAST_LEVEL_OF_POINTS = 2
 # change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
 # itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# When the level of a tile is selected, its predicted change is multiplied by CAUTION, and by EDGE_FACTOR, too, where the
-# tile and those around have both cells that are lit and cells that are not. Fitted to the snake; judged on other bodies
-# and surfaces (docs/decisions/adaptive_sampling.md).
+# When the level of a tile is selected, its predicted change is multiplied by CAUTION. It is multiplied by EDGE_FACTOR,
+# too, where the tile and those around have both cells that are lit and cells that are not. Fitted to the snake; judged
+# on other bodies and surfaces (docs/decisions/adaptive_sampling.md).
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
