@@ -32,7 +32,7 @@ CAUTION, EDGE_FACTOR = 2.0, 1.5
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Share of the illuminated pixels that are brighter than Y*; errors are relative to at least FLOOR · Y*. Reported
-# errors use a larger Y* where the median of the power exceeds it; refinement does not, and is at least as strict.
+# errors use the median of Y, weighted by Y, where it is larger. Refinement does not, and is at least as strict.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 

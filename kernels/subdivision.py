@@ -406,8 +406,8 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # Tiles of unequal levels each count by their exact share of the filter (``apart``), which leaves no steps
-        # between them. Tiles of equal levels are closer to the filter by the sum over all of them (``together``).
+        # If all tiles have the same level, one weighted sum over their cells (``together``) is closer to the filter.
+        # If levels differ, each tile counts by its exact share of the filter (``apart``), which avoids visible steps.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)

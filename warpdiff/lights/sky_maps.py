@@ -27,8 +27,8 @@ _STEPS_A_BLUR, _LARGEST_SIDE, _SMALLEST_SIDE = 2.0, 576, 12
 SIDES = tuple(max(_LARGEST_SIDE >> level, _SMALLEST_SIDE) for level in range(_LEVELS))
 # Number of iterations that make a blur along meridians keep the power (Sinkhorn).
 _TURNS = 40
-# Weights along meridians beyond so many deviations of the blur are below the rounding of float64. So many rows are
-# blurred at once: few weights of a block are then 0, and blocks are large enough for fast matrix products.
+# Weights along meridians farther than _BLUR_REACH standard deviations are below the rounding of float64. Blocks of
+# _ROWS_AT_ONCE rows are blurred: few of their weights are 0, and they are large enough for fast matrix products.
 _BLUR_REACH, _ROWS_AT_ONCE = 9.0, 64
 # Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
 # Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.

@@ -25,21 +25,22 @@ if TYPE_CHECKING:
 # (docs/decisions/plans_and_tolerance.md); with twice the share every second first table fails.
 _FIRST_SHARE = 0.35
 # A larger table helps if it has at most this share of the least error so far, and at most twice the error that the
-# order of convergence predicts. Limit: by that order, 1.3 times the rings have a share of 0.6.
+# order of convergence predicts. Limit: above 0.6, to which 1.3 times the rings reduce the error by that order.
 _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
     """The smallest table whose validation error is within the target, or the best of those tried.
 
-    A table is made for each size that is tried, and found again by the call that follows. None where all are too
-    large, or where a table for points exceeds the target.
+    A table is made for each size that is tried, and found again by the call that follows. None if no table was made:
+    none was expected to suffice, or all were too large or too costly. Also None if the best table exceeds the target,
+    unless a table is needed or pixels show means.
 
     Args:
         plan: The plan from bounds.
         trial: Training and validation directions of the call, and their reference.
         footprint: Whether pixels show means.
-        needed: Whether the largest table is tried before none is returned.
+        needed: Whether the call cannot do without a table.
         affordable: Multiply-adds that making one may cost.
     """
     target = plan.tolerance / SEARCH_SAFETY
@@ -61,7 +62,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # A call that needs a table has the largest that fits into memory.
+            # The first size is too large or too costly: a call that needs a table tries the next smaller one.
             size -= 1
             continue
         if best is None:
@@ -74,7 +75,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The terms were chosen by residuals of the basis, which the first failure checks.
+            # The number of terms was only estimated. The first failure measures whether more are needed.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -93,7 +94,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
 def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
     """The index of the size to begin with; a middle one if a table is needed and none is expected to suffice."""
-    # With few bright directions the validation set misses errors, and orders that are far apart have larger ones.
+    # Errors are larger where few directions are bright, so that the validation set misses some, and where diffraction
+    # orders are far apart.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
