@@ -16,8 +16,7 @@ UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
-ERROR_ORDER = wp.constant(wp.float32(refinement_levels.ERROR_ORDER))
-ERROR_PER_CHANGES = wp.constant(wp.float32(refinement_levels.ERROR_PER_CHANGES))
+SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
@@ -28,49 +27,36 @@ ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_
 ERROR_PER_LOBE = wp.constant(wp.float32(0.2))
 
 
-@wp.struct
-class Unevenness:
-    """What rays see."""
-
-    scattering_vectors: wp.array(dtype=wp.vec3d)
-    mirrored: wp.array(dtype=wp.vec3f)  # under a sky, directions to the light by way of a mirror
-    estimates: wp.array(dtype=wp.vec2f)  # under a sky, what colours err by as they change over footprints; or empty
+@wp.func
+def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int32, other: wp.int32) -> wp.vec2f:
+    """By how much (u, v) differs from one pixel to another."""
+    moved = scattering_vectors[other] - scattering_vectors[own]
+    return wp.vec2f(wp.float32(moved[0]), wp.float32(moved[1]))
 
 
 @wp.func
-def signal_difference(hits: Unevenness, own: wp.int32, other: wp.int32) -> wp.vec3f:
-    """By how much (u, v), or under a sky the light's direction, differs from one pixel to another."""
-    if hits.estimates.shape[0] > 0:
-        return hits.mirrored[other] - hits.mirrored[own]
-    moved = hits.scattering_vectors[other] - hits.scattering_vectors[own]
-    return wp.vec3f(wp.float32(moved[0]), wp.float32(moved[1]), 0.0)
-
-
-@wp.func
-def contrast_weight(hits: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.float32:
+def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
     """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
-    left = signal_difference(hits, pixel, pixel - 1)
-    right = signal_difference(hits, pixel, pixel + 1)
-    above = signal_difference(hits, pixel, pixel - width)
-    below = signal_difference(hits, pixel, pixel + width)
+    left = signal_difference(scattering_vectors, pixel, pixel - 1)
+    right = signal_difference(scattering_vectors, pixel, pixel + 1)
+    above = signal_difference(scattering_vectors, pixel, pixel - width)
+    below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
     # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
     aslant2 = wp.max(
         wp.max(
-            wp.length_sq(signal_difference(hits, pixel, pixel - width - 1) - left - above),
-            wp.length_sq(signal_difference(hits, pixel, pixel - width + 1) - right - above),
+            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
+            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width + 1) - right - above),
         ),
         wp.max(
-            wp.length_sq(signal_difference(hits, pixel, pixel + width - 1) - left - below),
-            wp.length_sq(signal_difference(hits, pixel, pixel + width + 1) - right - below),
+            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel + width - 1) - left - below),
+            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel + width + 1) - right - below),
         ),
     )
     most = wp.max(along, down)
     uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
-    if hits.estimates.shape[0] > 0:
-        return wp.min(CONTRAST_BASE + CONTRAST_PER_UNEVENNESS * wp.sqrt(uneven2), 1.0)
-    own = hits.scattering_vectors[pixel]
+    own = scattering_vectors[pixel]
     uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
     return wp.min(
         CONTRAST_BASE + CONTRAST_PER_UNEVENNESS * wp.sqrt(uneven2) + CONTRAST_PER_CHANGE * wp.sqrt(most / uv2), 1.0
@@ -80,7 +66,7 @@ def contrast_weight(hits: Unevenness, pixel: wp.int32, width: wp.int32) -> wp.fl
 @wp.kernel
 def estimate_errors(
     # In:
-    colours: wp.array(dtype=wp.vec3f), hits: Unevenness, hit: wp.array(dtype=wp.int32), width: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32), width: wp.int32,
     floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool, subdivides_silhouettes: wp.bool,
     first: wp.int32, run: wp.int32,
     # Out:
@@ -92,11 +78,12 @@ def estimate_errors(
 
     Args:
         colours: Theirs, of whole rows.
-        hits: What their rays see.
+        scattering_vectors: Their (u, v, w).
         hit: Whether they meet the mesh.
         width: Pixels in a row.
         floor: What errors are relative to at least.
-        bound: Of errors relative to the colour, or to the floor, from which pixels are split.
+        bound: Of errors relative to the colour, or to the floor, from which pixels are split; below 0, all are that
+            meet the mesh or lie beside it.
         all_pixels: Whether all are split, also where only cells may meet the mesh.
         subdivides_silhouettes: Whether those are beside which the mesh ends.
         first: The first thread's pixel.
@@ -137,10 +124,8 @@ def estimate_errors(
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:
-            weight = contrast_weight(hits, pixel, width)
+            weight = contrast_weight(scattering_vectors, pixel, width)
         error = weight * wp.sqrt(contrast2)
-        if hits.estimates.shape[0] > 0:
-            error = wp.max(error, hits.estimates[pixel][0])
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_silhouette = met < around and subdivides_silhouettes
         is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))
@@ -187,13 +172,13 @@ def add_penumbra_error(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, begin, end, "
-    "filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
+    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, begin, "
+    "end, filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
 )
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
     pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, begin: wp.int32, end: wp.int32,
+    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, begin: wp.int32, end: wp.int32,
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
@@ -206,7 +191,8 @@ def splat_cells(
     # In:
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
     pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, first: wp.int32, run: wp.int32,
+    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, first: wp.int32,
+    run: wp.int32,
     # Out:
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
@@ -224,20 +210,22 @@ def splat_cells(
         weights: Weights of cells along one axis for the middle one of three pixels, (3 · 2ⁿ,).
         level: The level n of the cells.
         is_base: Whether this level comes first, and shows what others would change.
+        is_sampled: Whether the cells are samples, whose scatter shows that.
         first: The first thread's index among ``pixels``.
         run: Number of pixels per thread.
         filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
             that lies 1 − i rows below and 1 − j columns to the right.
         quadrants_out: Mean colours of the quadrants, row by row, (n, 4), of the base level; cells that hit nothing are
             black.
-        changes_out: Differences of the means from the colours before, ‖ΔXYZ‖, of the base level.
+        changes_out: Differences of the means from the colours before, ‖ΔXYZ‖, of the base level; of samples, standard
+            deviations of the means at any level.
         levels_out: Set to ``level``.
         lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, begin, begin + run,
+        colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, begin, begin + run,
         filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out,
     )  # fmt: skip
 
@@ -251,6 +239,7 @@ class FilteredSums:
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
     # From ``splat_cells``, changes from the colours before; from ``select_levels`` on, estimated errors of 2 × 2 cells.
+    # Of samples, standard deviations of means.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # By level: the share of the filter in each of three pixels over the sum of the cells' weights there.
@@ -371,10 +360,54 @@ def select_levels(
 
 
 @wp.kernel
+def raise_levels(
+    # In:
+    sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
+    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
+    tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32, run: wp.int32,
+    # Out:
+    levels_out: wp.array(dtype=wp.uint8),
+):  # fmt: skip
+    """Select the levels at which the scatter of samples falls to the tolerance, of the tiles of one level.
+
+    The arguments are those of :func:`select_levels`; ``colours`` are those by all cells so far.
+    """
+    thread, _ = wp.tid()
+    for k in range(first + thread * run, first + (thread + 1) * run):
+        pixel = k
+        if tiles.shape[0] > 0:
+            pixel = tiles[k]
+        if levels_out[pixel] != wp.uint8(level):
+            continue
+        row = pixel // width
+        column = pixel % width
+        need = wp.float32(0.0)
+        square = wp.float32(0.0)
+        count = wp.float32(0.0)
+        for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
+            for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
+                there = (row + line - 1) * width + column + side - 1
+                share = FILTER_SHARES[line] * FILTER_SHARES[side]
+                if marks[there] != wp.uint8(0):
+                    need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
+                if levels_out[there] != wp.uint8(0):
+                    rank = compact_index(sums.ranks, there)
+                    # Other threads raise levels; those of the sums stay.
+                    if sums.levels[rank] == wp.uint8(level):
+                        square += share * sums.changes[rank] * sums.changes[rank]
+                        count += share
+        # The mean of neighbours: few samples seldom hold the brightest ones.
+        scatter = wp.sqrt(square / wp.max(count, TINY))
+        excess = SCATTER_FACTOR * need * scatter / tolerance
+        steps = wp.int32(wp.floor(wp.log2(wp.max(excess, 1.0)) + 0.5))
+        levels_out[pixel] = wp.uint8(wp.clamp(level + steps, level, most))
+
+
+@wp.kernel
 def resolve_pixels(
     # In:
     sums: FilteredSums, pixels: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8), width: wp.int32,
-    height: wp.int32, first: wp.int32, run: wp.int32,
+    height: wp.int32, error_order: wp.float32, error_factor: wp.float32, first: wp.int32, run: wp.int32,
     # Out:
     colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
     coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
@@ -388,6 +421,8 @@ def resolve_pixels(
         marks: Which pixels of the picture use cells.
         width: Pixels in a row.
         height: Rows.
+        error_order: Power of the number of cells along an axis by which errors fall from those of 2 × 2 cells.
+        error_factor: Estimated errors over the root sum of squares over the nine tiles.
         first: The first thread's index among ``pixels``.
         run: Number of pixels per thread.
         colours_out: Colours times coverage.
@@ -430,7 +465,7 @@ def resolve_pixels(
                 weight_together += share / per_weight
                 apart += per_weight * part
                 weight_apart += share
-                error = share * sums.changes[there] * wp.pow(0.5, ERROR_ORDER * wp.float32(level - 1))
+                error = share * sums.changes[there] * wp.pow(0.5, error_order * wp.float32(level - 1))
                 square += error * error
         # The filter may reach beyond the picture.
         total = together / weight_together
@@ -438,7 +473,7 @@ def resolve_pixels(
             total = apart / weight_apart
         colour = wp.vec3f(total[0], total[1], total[2])
         colours_out[pixel] = colour
-        errors_out[pixel] = ERROR_PER_CHANGES * wp.sqrt(square)
+        errors_out[pixel] = error_factor * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
         # Whatever the order of lights is, the finest cells count, and then the larger coverage.
         coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))

@@ -9,11 +9,48 @@ namespace warpdiff {
 // Bits of what the cells of a pixel show: any that is lit, any that is not, and any that meets nothing.
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
+// Most blocks of cells along a side of a pixel, whose means tell how cells scatter.
+constexpr int BLOCKS = 4;
+
 // Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
-// weights, and that of the weights; the mean colour of each quadrant; and the bits.
+// weights, and that of the weights; of each block the sum of colours and how many cells have one; and the bits.
 struct CellSums {
-    float filtered_sums[3][3][4] = {}, quadrants[4][3] = {};
+    float filtered_sums[3][3][4] = {}, blocks[BLOCKS][BLOCKS][4] = {};
+    int across, cells; // blocks, and cells of each
     unsigned char lighting = 0;
+
+    // The mean colour of the quadrant of a row and a column.
+    WARPDIFF_INLINE void quadrant(int row, int column, float* mean) const
+    {
+        const int half = across / 2;
+        for (int c = 0; c < 3; ++c) {
+            mean[c] = 0.0f;
+            for (int i = 0; i < half; ++i)
+                for (int j = 0; j < half; ++j) mean[c] += blocks[half * row + i][half * column + j][c];
+            mean[c] /= (float)(half * half * cells);
+        }
+    }
+
+    // The standard deviation of the pixel's sum over its cells, ‖ΔXYZ‖, over their number, as if the means of blocks
+    // were independent. What meets nothing is not at random.
+    WARPDIFF_INLINE float scatter() const
+    {
+        float total[4] = {}, square = 0.0f;
+        int used = 0;
+        for (const auto& row : blocks)
+            for (const auto& block : row) {
+                used += block[3] > 0.0f;
+                for (int c = 0; c < 4; ++c) total[c] += block[c];
+            }
+        if (used < 2) return 0.0f;
+        for (const auto& row : blocks)
+            for (const auto& block : row)
+                for (int c = 0; c < 3; ++c) {
+                    const float off = block[c] - block[3] * total[c] / total[3];
+                    square += off * off;
+                }
+        return wp::sqrt(square * (float)used / (float)(used - 1)) / (float)(across * across * cells);
+    }
 };
 
 // Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
@@ -22,6 +59,9 @@ WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, const float* gains, const float* along, int across)
 {
     CellSums sums;
+    sums.across = across < BLOCKS ? across : BLOCKS;
+    const int per_block = across / sums.across;
+    sums.cells = per_block * per_block;
     int cell = 0;
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
@@ -29,8 +69,8 @@ WARPDIFF_INLINE CellSums sum_cells(
             sums.lighting |= hit[cell] == 0 ? MISSED : gains[cell] > 0.0f ? LIT : UNLIT;
             if (hit[cell] == 0) continue;
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            float* const quadrant = sums.quadrants[2 * (2 * row >= across) + (2 * column >= across)];
-            for (int c = 0; c < 3; ++c) quadrant[c] += value[c];
+            float* const block = sums.blocks[row / per_block][column / per_block];
+            for (int c = 0; c < 4; ++c) block[c] += value[c];
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];
         }
@@ -38,17 +78,15 @@ WARPDIFF_INLINE CellSums sum_cells(
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) sums.filtered_sums[line][k][c] += along[line * across + row] * of_row[k][c];
     }
-    for (auto& quadrant : sums.quadrants)
-        for (float& value : quadrant) value *= 4.0f / (float)(across * across);
     return sums;
 }
 
-// Splat pixels from begin to end of those that are split, −1 is none. At the base level, quadrants and changes from the
-// colours before are written, too.
+// Splat pixels from begin to end of those that are split, −1 is none. How the cells scatter is written if they are
+// samples; otherwise at the base level the quadrants and the changes from the colours before.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Numbers& gains, const Hits& pixels,
-    const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, int begin,
-    int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out, Bytes& levels_out,
+    const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base,
+    bool is_sampled, int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out, Bytes& levels_out,
     Bytes& lighting_out)
 {
     const int across = 1 << level;
@@ -62,12 +100,14 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         memcpy(numbers<float>(filtered_sums_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
         numbers<unsigned char>(lighting_out)[rank] = sums.lighting;
-        if (!is_base) continue;
-        memcpy(numbers<float>(quadrants_out) + 12 * rank, sums.quadrants, sizeof(sums.quadrants));
+        if (is_sampled) numbers<float>(changes_out)[rank] = sums.scatter();
+        if (is_sampled || !is_base) continue;
+        float* const quadrants = numbers<float>(quadrants_out) + 12 * rank;
+        for (int quadrant = 0; quadrant < 4; ++quadrant)
+            sums.quadrant(quadrant / 2, quadrant % 2, quadrants + 3 * quadrant);
         float change2 = 0.0f;
         for (int c = 0; c < 3; ++c) {
-            const float mean = 0.25f
-                * (sums.quadrants[0][c] + sums.quadrants[1][c] + sums.quadrants[2][c] + sums.quadrants[3][c]);
+            const float mean = 0.25f * (quadrants[c] + quadrants[3 + c] + quadrants[6 + c] + quadrants[9 + c]);
             const float change = mean - numbers<const float>(colours_before)[3LL * pixel + c];
             change2 += change * change;
         }

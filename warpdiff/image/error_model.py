@@ -1,4 +1,4 @@
-"""Error model: the estimated error of a pixel from that of its colours, its cells, skies and penumbrae.
+"""Error model: the estimated error of a pixel from that of its colours, its cells and penumbrae.
 
 The constants bound 95 of 100 errors of pictures against many rays per pixel: see docs/decisions/error_estimates.md.
 """
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # Bound of 95 of 100 errors over the root sum of squares of the errors of cells and of the table (fitted).
 _BOUND_OF_BOTH = 1.1
-# Error of a sum over the cells of a sky over the sum of what each may err by, as if they were independent (fitted).
-_ERROR_PER_COARSENESS = 0.7
 
 # Odds that a pixel exceeds the tolerance where its estimated error is the tolerance, and the power of the ratio of both
 # that they grow by (fitted).
@@ -37,14 +35,12 @@ class ErrorParts:
         xyz: The colours, (n, 3).
         contrasts: Largest difference from a neighbouring pixel; None for points, which are no means.
         cells: Error that remains after subdivision.
-        skies: Error of the sums over cells of skies.
         penumbrae: Error of partly occluded lights.
     """
 
     xyz: NDArray[np.float32]
     contrasts: NDArray[np.float32] | None = None
     cells: NDArray[np.float32] | None = None
-    skies: NDArray[np.float32] | None = None
     penumbrae: NDArray[np.float32] | None = None
 
 
@@ -59,8 +55,6 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
     if parts.cells is not None:
         # Neither depends on the other.
         errors = _BOUND_OF_BOTH * np.hypot(errors, parts.cells)
-    if parts.skies is not None:
-        errors = errors + _ERROR_PER_COARSENESS * parts.skies
     if parts.penumbrae is not None:
         errors = np.hypot(errors, parts.penumbrae)
     return errors

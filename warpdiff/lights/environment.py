@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 # Of radiances: squares of colours are float32.
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
-# Directions at a tolerance of 1: the error falls about as their number grows.
-_DIRECTIONS_AT_ONE = 820.0
+_DEFAULT_DIRECTIONS = 64
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
 _MOST_PARTS = 4
@@ -180,7 +179,7 @@ class Environment(Checked, Light):
                 f"{ref(name)} must not be an Environment for {ref('coherence')} of kind {coherence.kind!r}; use an "
                 "averaged window"
             )
-        count = self.directions or min(round(_DIRECTIONS_AT_ONE / tolerance), _MOST_DIRECTIONS)
+        count = self.directions or _DEFAULT_DIRECTIONS
         make = functools.partial(_make_parts, self, coherence.sigma_um, count)
         return self._parts.get_or_make((coherence.sigma_um, count), make)
 

@@ -66,12 +66,15 @@ class PassContext:
         is_pigmented: Whether the mesh has base colours that the pigment shows.
         pigment_strength: Strength of the pigment over R(0); 0 without one.
         materials_of_faces: Index of each face's material on the device; empty for a single material.
+        refines: Whether pixels are subdivided where their errors ask for it.
         reflection: The struct ``Reflection`` of the kernels.
     """
 
-    def __init__(self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None) -> None:
+    def __init__(
+        self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None, *, refines: bool
+    ) -> None:
         device = rays.options["device"]
-        self.rays, self.optics = rays, optics
+        self.rays, self.optics, self.refines = rays, optics, refines
         self.is_pigmented = optics.pigment > 0.0 and rays.surface.has_base_colour
         normal = optics.normal_reflectance
         self.pigment_strength = optics.pigment / normal if self.is_pigmented else 0.0
@@ -116,15 +119,14 @@ class PassContext:
 class LightSamples:
     """One lobe at the hits of rays, which the next lobe overwrites; :meth:`LightPass.scatter` fills it.
 
-    A sky is a single lobe, for which some arrays hold what belongs to the mirror direction.
+    A lobe of a sky is one direction for each ray.
 
     Attributes:
-        occluded: Whether the mesh occludes the lobe, (n,); of a sky, any part of it.
-        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``; of a sky (0, 0, w).
-        to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``; of a sky the mirror directions in
-            the world frame.
-        gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits, as its sums have factors of their
-            own.
+        occluded: Whether the mesh occludes the lobe, (n,).
+        scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
+        to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
+        gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) for other lights.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
         material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
     """
@@ -133,11 +135,14 @@ class LightSamples:
     scattering_vectors: wp.array
     to_lights: wp.array
     gains: wp.array
+    spectral_gains: wp.array
     footprints: wp.array
     material_gains: wp.array
 
     @classmethod
-    def allocate(cls, rays: int, *, means: bool, has_materials: bool, device: wp.Device) -> LightSamples:
+    def allocate(
+        cls, rays: int, *, means: bool, has_materials: bool, has_skies: bool, device: wp.Device
+    ) -> LightSamples:
         """Return the arrays for a number of rays, with footprints if they show ``means``."""
 
         def empty(dtype: Any, size: int = rays) -> wp.array:
@@ -145,6 +150,7 @@ class LightSamples:
 
         return cls(
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
+            wp.empty((3, rays) if has_skies else (0, 0), dtype=wp.float32, device=device),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 
@@ -165,7 +171,8 @@ class RayBatch:
         coverage: Sums of hits, (n,); empty counts none.
         illuminated: Whether light reached them, (n,); empty marks none.
         unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
-        sky_errors: Estimated errors of skies, (n,); empty estimates none, as for cells.
+        tiles: Pixels whose cells the rays are, −1 is none; empty is one ray for each pixel of the picture.
+        level: Level of the cells; 0 is one ray per pixel.
         deviation: Standard deviation of the rays' filter [pixels]; 0 for points.
     """
 
@@ -175,7 +182,8 @@ class RayBatch:
     coverage: wp.array
     illuminated: wp.array
     unserved_gain: wp.array
-    sky_errors: wp.array
+    tiles: wp.array
+    level: int
     deviation: float
 
     @property
@@ -205,9 +213,12 @@ class LightPass(ABC):
     """Pass of a part of a light over the rays of one picture, made before the plan is known.
 
     Attributes:
+        is_sampled: Whether the light's directions are drawn at random, so that colours scatter.
         context: What the passes of the picture share.
         illuminated: By lobe, material and spectrum: the illuminants on the materials.
     """
+
+    is_sampled = False
 
     def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
         self.context = context
@@ -226,6 +237,16 @@ class LightPass(ABC):
     def lobe_count(self) -> int:
         """Number of lobes, which are sampled one after the other."""
         return len(self.illuminated)
+
+    @property
+    def first_lobes(self) -> range:
+        """The lobes that the pixels' own rays take."""
+        return range(self.lobe_count)
+
+    @property
+    def cell_lobes(self) -> range:
+        """The lobes that cells take."""
+        return range(self.lobe_count)
 
     @property
     @abstractmethod
@@ -263,7 +284,7 @@ class LightPass(ABC):
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the colours of all lobes to a batch of cells."""
         calls = []
-        for lobe in range(self.lobe_count):
+        for lobe in self.cell_lobes:
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
@@ -295,10 +316,3 @@ class LightPass(ABC):
         rays, samples = self.context.rays, batch.samples
         inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
         return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)
-
-    def unevenness(self, batch: RayBatch) -> Any:
-        """Return the struct ``Unevenness`` of the kernels: what differs between pixels as their colours do."""
-        result = subdivision.Unevenness()
-        result.scattering_vectors, result.mirrored = batch.samples.scattering_vectors, batch.samples.to_lights
-        result.estimates = wp.empty(0, dtype=wp.vec2f, device=self.context.device)
-        return result

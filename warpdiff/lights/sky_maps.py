@@ -159,6 +159,13 @@ def maps_of(grids: list[NDArray[np.float64]]) -> NDArray[np.float32]:
     return np.concatenate(texels).astype(np.float32)
 
 
+def map_of(texels: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    """Return the map of a level from the texels of all, (side + 2, side + 2, 4)."""
+    first = sum((side + 2) ** 2 for side in SIDES[:level])
+    side = SIDES[level] + 2
+    return texels[first : first + side**2].reshape(side, side, 4)
+
+
 def _grid_directions() -> NDArray[np.float64]:
     """Unit vectors to the middles of the grid's cells, (_ROWS, 2 _ROWS, 3)."""
     polar = (np.arange(_ROWS) + 0.5) / _ROWS * math.pi

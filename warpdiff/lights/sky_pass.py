@@ -1,4 +1,4 @@
-"""Pass of a sky: sums over cells of the hemisphere, without shadow grids and without scattering vectors."""
+"""Pass of a sky: directions that are drawn in proportion to what the surface and the sky send, a shadow ray each."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import octahedral_maps, sky_sum
-from warpdiff.lights import sky_cells
+from warpdiff.kernels import light_samples, octahedral_maps, sky_samples
+from warpdiff.kernels.refinement_levels import FILTER_SIGMA, rays_at
 from warpdiff.lights.light_pass import LightPass
+from warpdiff.lights.sky_distribution import distribution_for
 from warpdiff.lights.sky_maps import FIRST_BLUR, SIDES
 
 if TYPE_CHECKING:
@@ -21,6 +22,14 @@ if TYPE_CHECKING:
     from warpdiff.lights.sky_maps import SkyMaps
     from warpdiff.tables.lookup import ColourLookup
 
+# Share of the samples that are drawn from the sky's texels, without and with a pigment, which sends light from
+# everywhere.
+_SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
+# Number of pixels whose cells a pixel's filter covers, a Gaussian: 4π of its variance.
+_COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
+# Number of samples of each ray of pictures whose pixels are subdivided, where they only tell how bright the picture is.
+_FIRST_SAMPLES = 4
+
 
 class SkyPass(LightPass):
     """Pass of a sky, whose maps the environment caches together with their arrays on devices.
@@ -29,10 +38,32 @@ class SkyPass(LightPass):
         maps: The maps.
     """
 
+    is_sampled = True
+
     def __init__(self, maps: SkyMaps, context: PassContext) -> None:
         super().__init__(context, [maps.spectra])
         self.maps = maps
         self._map: Any = None
+
+    @property
+    def has_penumbrae(self) -> bool:
+        """Samples that are occluded are part of the scatter."""
+        return False
+
+    @property
+    def lobe_count(self) -> int:
+        """Number of samples of the pixels' own rays."""
+        return self.maps.directions
+
+    @property
+    def first_lobes(self) -> range:
+        """The samples of the pixels' own rays, which are few where cells follow."""
+        return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
+
+    @property
+    def cell_lobes(self) -> range:
+        """One sample of each cell."""
+        return range(1)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
@@ -57,29 +88,40 @@ class SkyPass(LightPass):
         self._map.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the calls that find the mirror directions of a batch."""
+        """Return the calls that find the footprints of a batch for light by way of a mirror."""
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
-        outputs = [*batch.samples.directions, *batch.sums]
-        return [KernelCall(sky_sum.mirror_directions, inputs, outputs, in_runs=True)]
+        outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
+        call = KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)
+        return [call, self.filter_footprints(batch)]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that add the sky's colours over the footprints of a batch."""
-        samples, directions = batch.samples, self.maps.directions
-        occluded = self.occlusion(samples)
-        mesh_id = self.context.rays.scene.with_hierarchy().mesh_id if len(occluded) else 0
-        table = sky_cells.table_for(lookup, self.illuminated[lobe], directions)
+        """Return the calls that draw a direction for each ray of a batch, and add its colours."""
+        samples, context = batch.samples, self.context
+        pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
+        count = len(self.cell_lobes) if batch.level else len(self.first_lobes)
+        share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
+        table = distribution_for(lookup, self.illuminated[0], self.maps, sky_share=share)
+        mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0
         inputs = [
-            self._map, table, batch.gbuffer.pixels, samples.gains, samples.footprints, self._lights, lobe,
-            self.context.reflection, mesh_id, directions,
+            self._map, table, pixels, samples.footprints, self._lights, context.reflection, mesh_id,
+            context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
+            count * (_COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0),
         ]  # fmt: skip
-        outputs = [occluded, batch.sky_errors, batch.xyz]
-        return [self.filter_footprints(batch), KernelCall(sky_sum.add_sky, inputs, outputs, in_runs=True)]
-
-    def unevenness(self, batch: RayBatch) -> Any:
-        """Return what differs between pixels: the mirror directions, and what the colours err by over footprints."""
-        result = super().unevenness(batch)
-        result.estimates = batch.sky_errors
-        return result
+        outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
+        calls = [KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
+        for material, spectra in enumerate(self.illuminated[0]):
+            for spectrum, illuminated in enumerate(spectra):
+                gain = gains[spectrum]
+                if context.has_materials:
+                    faces = [pixels.face, context.materials_of_faces, material]
+                    outputs = [samples.material_gains]
+                    calls.append(KernelCall(light_samples.select_material, [gain, *faces], outputs, in_runs=True))
+                    gain = samples.material_gains
+                calls += lookup.kernel_calls(
+                    samples.scattering_vectors, samples.to_lights, gain, illuminated, batch.xyz, None,
+                    batch.unserved_gain,
+                )  # fmt: skip
+        return calls
 
 
 def upload_maps(maps: SkyMaps, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,7 +89,7 @@ class Picture:
         )
         self._means, self._refine, self._least_samples = means, refine, samples_per_pixel
         self._samples_per_pixel = 1 if means else samples_per_pixel
-        self.context = PassContext(self.rays, optics, materials_of_faces)
+        self.context = PassContext(self.rays, optics, materials_of_faces, refines=means and refine)
         self.sampler = PixelSampler(
             self.context, samples_per_pixel=self._samples_per_pixel, means=means,
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
@@ -128,9 +129,8 @@ class Picture:
         self._parts, self._passes = list(parts), passes
         self.sampler.set_lights(self._passes)
         several_lobes = any(light_pass.lobe_count > 1 for light_pass in self._passes)
-        self._sums = self._sums.extended(
-            skies=not all(part.has_lobes for part in parts), penumbrae=several_lobes and self._means
-        )
+        if several_lobes and self._means:
+            self._sums = self._sums.with_penumbrae()
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
             # The arrays of one light stay the same, as a recorded graph reads them.
@@ -206,6 +206,7 @@ class Picture:
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
             self._add_own_rays(light, batch, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
+            policy = replace(policy, is_sampled=light_pass.is_sampled)
             refinement = LightRefinement(light_pass, lookup, batch, of_light, policy, is_first=light == 0)
             if self._loop is None:
                 rays = self.rays
@@ -224,14 +225,14 @@ class Picture:
     def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
         """Add what the pixels' own rays see under the lobes of a light."""
         light_pass, sums = self._passes[light], self._light_sums
-        count = light_pass.lobe_count
-        for lobe in range(count):
+        lobes = light_pass.first_lobes
+        for lobe in lobes:
             self.sampler.scatter(0, LobeIndex(light, lobe), sums)
             calls = light_pass.colour(lobe, batch, lookup)
             calls += light_pass.penumbra_calls(lobe, batch, sums.occluded_power, sums.penumbra_errors)
             launch_pipeline(
                 calls, self.rays.size, slice_size=_COLOURS_OF_SLICE,
-                progress=subprogress(progress, lobe / count, (lobe + 1) / count), **self.rays.options,
+                progress=subprogress(progress, lobe / len(lobes), (lobe + 1) / len(lobes)), **self.rays.options,
             )  # fmt: skip
 
     def render_directly(self, heightfield: HeightField, plan: Plan, *, progress: Progress) -> None:
@@ -282,11 +283,9 @@ class Picture:
             # The neighbours of the outermost pixels are those of the margin.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
-        skies = part(sums.sky_errors)
         parts = ErrorParts(
-            xyz[illuminated], contrasts, cells=part(sums.errors), skies=None if skies is None else skies[:, 1],
-            penumbrae=part(sums.penumbra_errors),
-        )  # fmt: skip
+            xyz[illuminated], contrasts, cells=part(sums.errors), penumbrae=part(sums.penumbra_errors)
+        )
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
         # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.

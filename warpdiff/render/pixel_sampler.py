@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -44,9 +45,10 @@ class PixelSampler:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
-            context.rays.size, means=means, has_materials=context.has_materials, device=context.device
+            context.rays.size, means=means, has_materials=context.has_materials, has_skies=False, device=context.device
         )
         self._passes: Sequence[LightPass] = ()
+        self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
         self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)
         self.invalidate()
 
@@ -58,6 +60,9 @@ class PixelSampler:
     def set_lights(self, passes: Sequence[LightPass]) -> None:
         """Set the passes of the lights; hits stay valid, and samples do not."""
         self._passes, self._lobe = passes, None
+        if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
+            gains = wp.empty((3, self._context.rays.size), dtype=wp.float32, device=self._context.device)
+            self.samples = replace(self.samples, spectral_gains=gains)
 
     def lobes(self) -> Iterator[LobeIndex]:
         """Yield the lobes of all passes."""
@@ -70,7 +75,7 @@ class PixelSampler:
         unserved_gain = self._no_gains if unserved_gain is None else unserved_gain
         return RayBatch(
             self._context.rays.gbuffer, self.samples, sums.xyz, sums.coverage, sums.illuminated, unserved_gain,
-            sums.sky_errors, deviation,
+            self._no_tiles, level=0, deviation=deviation,
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:

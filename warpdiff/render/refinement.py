@@ -15,6 +15,7 @@ import warp as wp
 from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import refinement_levels, subdivision
+from warpdiff.kernels.refinement_levels import ERROR_ORDER, ERROR_PER_CHANGES, SCATTER_FACTOR
 from warpdiff.kernels.structs import Sampling
 from warpdiff.render import pixel_filter
 from warpdiff.render.tile_buffers import BufferKind
@@ -39,11 +40,13 @@ class RefinementPolicy:
         tolerance: Tolerance of the picture.
         least_level: Level that all pixels are subdivided to.
         refine: Whether pixels are subdivided further where their estimated errors ask for it.
+        is_sampled: Whether cells are samples, which are too few at level 1 to tell how they scatter.
     """
 
     tolerance: float
     least_level: int
     refine: bool
+    is_sampled: bool = False
 
     @property
     def subdivides(self) -> bool:
@@ -53,7 +56,7 @@ class RefinementPolicy:
     @property
     def base_level(self) -> int:
         """Level whose cells come first, and show which level each tile needs."""
-        return max(self.least_level, 1)
+        return max(self.least_level, 2 if self.is_sampled else 1)
 
     @property
     def most_level(self) -> int:
@@ -91,7 +94,9 @@ class LightRefinement:
     def buffer_kind(self) -> BufferKind:
         """The arrays that cells require."""
         context = self.light_pass.context
-        return BufferKind(self.lookup.needs_sampling, context.is_pigmented, context.has_materials)
+        return BufferKind(
+            self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.is_sampled
+        )
 
     @property
     def _resolved(self) -> list[wp.array]:
@@ -102,9 +107,10 @@ class LightRefinement:
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
         """Return the call that estimates the error of every pixel by one ray, and marks those to subdivide."""
         rays, policy = self.light_pass.context.rays, self.policy
+        bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
-            self.sums.xyz, self.light_pass.unevenness(self.batch), self.batch.gbuffer.pixels.hit, rays.width, floor,
-            policy.tolerance if policy.refine else np.inf, policy.least_level > 0, policy.refine,
+            self.sums.xyz, self.batch.samples.scattering_vectors, self.batch.gbuffer.pixels.hit, rays.width, floor,
+            bound if policy.refine else np.inf, policy.least_level > 0, policy.refine,
         ]  # fmt: skip
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
@@ -117,7 +123,7 @@ class LightRefinement:
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, batch.samples.gains, buffers.tiles[level], self.sums.xyz, sums.ranks,
             pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
-            level == self.policy.base_level,
+            level == self.policy.base_level, self.policy.is_sampled,
         ]  # fmt: skip
         outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
         splat = KernelCall(
@@ -128,16 +134,22 @@ class LightRefinement:
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
         """Return the call that sets pixels to the sums of the cells around, with their errors."""
         rays = self.light_pass.context.rays
-        inputs = [group.sums, group.pixels, marks, rays.width, rays.height]
+        inputs = [
+            group.sums, group.pixels, marks, rays.width, rays.height,
+            *((0.0, SCATTER_FACTOR) if self.policy.is_sampled else (ERROR_ORDER, ERROR_PER_CHANGES)),
+        ]  # fmt: skip
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
-    def select_levels(self, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that selects the level of each tile."""
+    def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
+        """Return the call that selects finer levels of the tiles that have this level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
-            group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance,
-            policy.base_level, policy.most_level, policy.silhouette_level,
+            group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
+            policy.most_level,
         ]  # fmt: skip
+        if policy.is_sampled:
+            return KernelCall(subdivision.raise_levels, inputs, [group.levels], in_runs=True)
+        inputs.append(policy.silhouette_level)
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> Any:
@@ -251,9 +263,9 @@ class RefinementLoop:
             for level in levels:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
-                if level == policy.base_level:
+                if level == policy.base_level or policy.is_sampled:
                     # Without the filter, dark pixels beside bright ones would take too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
-                    tiles.launch(light.select_levels(group, tiles.floor, tiles.marks), group.tiles)
+                    tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
         tiles.end(light)

@@ -44,7 +44,7 @@ class HostTileGroup(TileGroup):
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
         """What the cells of the tiles of a level give, by index in ``sums``."""
-        names = "filtered_sums", "levels", "lighting", *(("quadrants", "changes") if is_base else ())
+        names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 

@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 
 
 class BufferKind(NamedTuple):
-    """Which arrays tile buffers have: gains that a table excludes, base colours, gains of one of several materials."""
+    """Which arrays tile buffers have.
+
+    These are gains that a table excludes, base colours, gains of one of several materials, and gains by spectrum.
+    """
 
     needs_sampling: bool
     is_pigmented: bool
     has_materials: bool
+    has_skies: bool
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,9 @@ class TileBuffers:
         }
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
-            LightSamples.allocate(rays, means=True, has_materials=kind.has_materials, device=device),
+            LightSamples.allocate(
+                rays, means=True, has_materials=kind.has_materials, has_skies=kind.has_skies, device=device
+            ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
             tiles,
@@ -68,11 +74,10 @@ class TileBuffers:
     def batch(self, level: int) -> RayBatch:
         """Return the cells of a level as a batch of rays, which count no pixels."""
         device = self.colours.device
-        none = [wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool, wp.vec2f)]
-        coverage, illuminated, sky_errors = none
+        coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
         return RayBatch(
-            self.gbuffer, self.samples, self.colours, coverage, illuminated, self.unserved_gain, sky_errors,
-            deviation=pixel_filter.deviation_at(level, means=True),
+            self.gbuffer, self.samples, self.colours, coverage, illuminated, self.unserved_gain,
+            self.tiles[level], level, deviation=pixel_filter.deviation_at(level, means=True),
         )  # fmt: skip
 
 
@@ -93,7 +98,8 @@ class SharedTileBuffers:
         self._nearest = self.buffers.gbuffer.pixels.nearest.numpy()
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()
-        self._gains = [self.buffers.samples.gains.numpy(), self.buffers.samples.material_gains.numpy()]
+        samples = self.buffers.samples
+        self._gains = [samples.gains.numpy(), samples.material_gains.numpy(), *samples.spectral_gains.numpy()]
         # Appending to and taking from a list are atomic.
         self._free = [part * self._size for part in range(parts)]
 

@@ -1,0 +1,379 @@
+"""Sky samples: directions drawn in proportion to what a surface sends from them, and to the sky.
+
+A sample's place in (u, v) comes from a table of the surface's own colours, or from the sky's texels; its density is
+that of both together (balance heuristic, Veach 1997). Samples of neighbouring cells and pixels belong to one (0, 2)
+sequence along a Morton curve, so that they are stratified together and errors look like fine grain (Ahmed and Wonka,
+Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical ordering of pixels, 2020). Scrambles are
+those of Burley (Practical hash-based Owen scrambling, 2020).
+"""
+
+import math
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, thresholds
+from warpdiff.kernels.bvh import FAR
+from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
+from warpdiff.kernels.octahedral_maps import SkyMap, direction_at, light_along, on_octahedron
+from warpdiff.kernels.structs import Footprint, Pixels
+
+wp.set_module_options(compile_options.options())
+
+# Seeds of the order of samples, of the numbers that choose a direction, and of those that choose a place within the
+# filter.
+ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
+SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
+SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
+# Even factors of the hash.
+MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
+MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
+PER_UNIT = wp.constant(wp.float32(2.0**-24))
+LEAST_COSINE2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
+# A sample's light is blurred over so much of the solid angle that it stands for (Křivánek and Colbert, Real-time
+# shading with filtered importance sampling, 2008), as a variance.
+BLUR_PER_SOLID_ANGLE = wp.constant(wp.float32(0.0))
+
+
+@wp.struct
+class SkyDistribution:
+    """Distribution of directions: rings of (u, v), each of so many spokes, and texels of an octahedral map."""
+
+    ring_cdf: wp.array(dtype=wp.float32)
+    starts: wp.array(dtype=wp.int32)  # of each ring the first spoke, and at last the number of all
+    spoke_cdf: wp.array(dtype=wp.float32)  # within the ring
+    densities: wp.array(dtype=wp.float32)  # per ln|(u, v)| and radian; of the first ring, a disc, per area
+    least_log: wp.float32  # ln|(u, v)| at the edge of the disc
+    per_log: wp.float32  # rings
+    row_cdf: wp.array(dtype=wp.float32)  # of texels
+    column_cdf: wp.array2d(dtype=wp.float32)  # within the row
+    texel_densities: wp.array2d(dtype=wp.float32)  # per area of the map, which is 1
+    sky_share: wp.float32  # of samples that are drawn from texels
+
+
+@wp.func
+def reverse_bits(value: wp.uint32) -> wp.uint32:
+    """The bits in reverse order."""
+    x = value
+    x = ((x >> wp.uint32(1)) & wp.uint32(0x55555555)) | ((x & wp.uint32(0x55555555)) << wp.uint32(1))
+    x = ((x >> wp.uint32(2)) & wp.uint32(0x33333333)) | ((x & wp.uint32(0x33333333)) << wp.uint32(2))
+    x = ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)) | ((x & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
+    x = ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)) | ((x & wp.uint32(0x00FF00FF)) << wp.uint32(8))
+    return (x >> wp.uint32(16)) | (x << wp.uint32(16))
+
+
+@wp.func
+def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
+    """Flip each bit by a hash of the bits above it (Laine and Karras's hash on the reversed bits)."""
+    x = reverse_bits(value)
+    x += seed
+    x ^= x * MIX_1
+    x ^= x * MIX_2
+    x ^= x * MIX_3
+    x ^= x * MIX_4
+    return reverse_bits(x)
+
+
+@wp.func
+def second_sobol(index: wp.uint32) -> wp.uint32:
+    """The second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the index."""
+    x = index
+    x ^= x >> wp.uint32(16)
+    x ^= (x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)
+    x ^= (x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)
+    x ^= (x >> wp.uint32(2)) & wp.uint32(0x33333333)
+    x ^= (x >> wp.uint32(1)) & wp.uint32(0x55555555)
+    return reverse_bits(x)
+
+
+@wp.func
+def spread_bits(value: wp.uint32) -> wp.uint32:
+    """The lower 16 bits at the even places."""
+    x = value & wp.uint32(0x0000FFFF)
+    x = (x | (x << wp.uint32(8))) & wp.uint32(0x00FF00FF)
+    x = (x | (x << wp.uint32(4))) & wp.uint32(0x0F0F0F0F)
+    x = (x | (x << wp.uint32(2))) & wp.uint32(0x33333333)
+    return (x | (x << wp.uint32(1))) & wp.uint32(0x55555555)
+
+
+@wp.func
+def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
+    """The place of a cell of the picture along a Morton curve."""
+    return spread_bits(wp.uint32(column)) | (spread_bits(wp.uint32(row)) << wp.uint32(1))
+
+
+@wp.func
+def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
+    """A point of a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
+    shuffled = owen_scramble(index, order_seed)
+    x = owen_scramble(reverse_bits(shuffled), seed_x)
+    y = owen_scramble(second_sobol(shuffled), seed_y)
+    return wp.vec2f(
+        PER_UNIT * wp.float32(x >> wp.uint32(8)),
+        PER_UNIT * wp.float32(y >> wp.uint32(8)),
+    )
+
+
+@wp.func
+def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, value: wp.float32) -> wp.int32:
+    """The first index whose cumulative share exceeds a value, or the last one."""
+    low = begin
+    high = end - 1
+    while low < high:
+        middle = (low + high) // 2
+        if cdf[middle] > value:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@wp.func
+def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
+    """Where in its step a value lies, 0 to 1."""
+    before = wp.float32(0.0)
+    if index > begin:
+        before = cdf[index - 1]
+    return wp.clamp((value - before) / wp.max(cdf[index] - before, 1.0e-12), 0.0, 1.0)
+
+
+@wp.func
+def draw_uv(table: SkyDistribution, point: wp.vec2f) -> wp.vec2f:
+    """A place in (u, v) that the surface sends much light from."""
+    ring = find_step(table.ring_cdf, 0, table.ring_cdf.shape[0], point[0])
+    t = within_step(table.ring_cdf, 0, ring, point[0])
+    radius = wp.exp(table.least_log + (wp.float32(ring - 1) + t) / table.per_log)
+    if ring == 0:
+        radius = wp.exp(table.least_log) * wp.sqrt(t)
+    begin = table.starts[ring]
+    count = table.starts[ring + 1] - begin
+    spoke = find_step(table.spoke_cdf, begin, begin + count, point[1])
+    s = within_step(table.spoke_cdf, begin, spoke, point[1])
+    angle = wp.static(2.0 * math.pi) * (wp.float32(spoke - begin) + s) / wp.float32(count)
+    return wp.vec2f(radius * wp.cos(angle), radius * wp.sin(angle))
+
+
+@wp.func
+def density_of_uv(table: SkyDistribution, uv: wp.vec2f) -> wp.float32:
+    """The density of :func:`draw_uv`, per area."""
+    radius2 = wp.max(wp.length_sq(uv), 1.0e-20)
+    place = (0.5 * wp.log(radius2) - table.least_log) * table.per_log
+    ring = wp.int32(0)
+    if place >= 0.0:
+        ring = wp.int32(place) + 1
+    if ring >= table.ring_cdf.shape[0]:
+        return 0.0
+    begin = table.starts[ring]
+    count = table.starts[ring + 1] - begin
+    turn = wp.atan2(uv[1], uv[0]) * wp.static(0.5 / math.pi)
+    if turn < 0.0:
+        turn += 1.0
+    density = table.densities[begin + wp.min(wp.int32(turn * wp.float32(count)), count - 1)]
+    if ring > 0:
+        density /= radius2
+    return density
+
+
+@wp.func
+def turned(sky: SkyMap, along: wp.vec3f, sign: wp.float32) -> wp.vec3f:
+    """A direction of the world in the sky's own frame, or the other way round if the sign is −1."""
+    sine = sign * sky.turn[1]
+    return wp.vec3f(
+        sky.turn[0] * along[0] - sine * along[2], along[1], sine * along[0] + sky.turn[0] * along[2]
+    )
+
+
+@wp.func
+def draw_direction(table: SkyDistribution, sky: SkyMap, point: wp.vec2f) -> wp.vec3f:
+    """A direction in the world that the sky is bright in."""
+    side = table.row_cdf.shape[0]
+    row = find_step(table.row_cdf, 0, side, point[0])
+    t = within_step(table.row_cdf, 0, row, point[0])
+    columns = table.column_cdf[row]
+    column = find_step(columns, 0, side, point[1])
+    s = within_step(columns, 0, column, point[1])
+    per_side = 1.0 / wp.float32(side)
+    return turned(sky, direction_at((wp.float32(column) + s) * per_side, (wp.float32(row) + t) * per_side), -1.0)
+
+
+@wp.func
+def density_of_direction(table: SkyDistribution, sky: SkyMap, along: wp.vec3f) -> wp.float32:
+    """The density of :func:`draw_direction`, per solid angle."""
+    side = table.row_cdf.shape[0]
+    in_sky = turned(sky, along, 1.0)
+    place = on_octahedron(in_sky)
+    row = wp.clamp(wp.int32(place[1] * wp.float32(side)), 0, side - 1)
+    column = wp.clamp(wp.int32(place[0] * wp.float32(side)), 0, side - 1)
+    # On the octahedron |x| + |y| + |z| = 1, and dω = 4 dA / r³.
+    size = wp.abs(in_sky[0]) + wp.abs(in_sky[1]) + wp.abs(in_sky[2])
+    return 0.25 * table.texel_densities[row, column] / (size * size * size)
+
+
+@wp.func
+def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
+    """The gain of ``light_samples.h``, over the cosine that dω has: dω cos θi is du dv."""
+    w = light[2] + view[2]
+    overlap = 0.5 * (wp.length_sq(uv) + w * w)
+    cosine = wp.sqrt(0.5 * overlap)
+    gain = overlap * overlap / (w * w * view[2] * light[2])
+    if reflection.masking:
+        gain *= wp.min(wp.min(light[2], view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
+    gain *= energy_factor(reflection, view) * energy_factor(reflection, light)
+    rest = 1.0 - wp.min(cosine, 1.0)
+    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
+    return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)
+
+
+@wp.kernel
+def mirror_deflections(
+    # In:
+    pixels: Pixels, counted: wp.float64, begins: wp.bool, resets: wp.bool, first: wp.int32, run: wp.int32,
+    # Out:
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), gains_out: wp.array(dtype=wp.float32),
+    xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
+    illuminated_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """Scattering vectors of light that comes by way of a mirror, which footprints are found for, and sums of hits.
+
+    Gains are 1 at hits: a sky has no places that are not lit.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        scattering_vector = wp.vec3d()
+        if pixels.hit[i] != 0:
+            scattering_vector[2] = -wp.float64(2.0) * wp.float64(wp.dot(pixels.normal[i], pixels.to_view[i]))
+        scattering_vectors_out[i] = scattering_vector
+        gains_out[i] = wp.where(pixels.hit[i] != 0, 1.0, 0.0)
+        if coverage_out.shape[0] > 0:
+            if resets:
+                xyz_out[i] = wp.vec3f()
+            if begins:
+                coverage_out[i] = wp.float64(0.0)
+                illuminated_out[i] = False
+            coverage_out[i] = coverage_out[i] + wp.where(pixels.hit[i] != 0, counted, wp.float64(0.0))
+
+
+@wp.kernel
+def sample_sky(
+    # In:
+    sky: SkyMap, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
+    reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
+    across: wp.int32, sample: wp.int32, samples: wp.int32, per_pixel: wp.float32, first: wp.int32, run: wp.int32,
+    # Out:
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
+    gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), illuminated_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """Draw one direction of the sky for each ray: its scattering vector, and gains by spectrum; adds the pigment.
+
+    Args:
+        sky: The sky.
+        table: The distribution of directions.
+        pixels: Hits.
+        footprints: Footprints of the rays' filters for light by way of a mirror.
+        lights: The strength of the pigment.
+        reflection: The reflectance.
+        mesh_id: The hierarchy that shadow rays ask.
+        shadows: Whether they do.
+        tiles: Pixels whose cells these are, −1 is none; empty are all pixels of the picture.
+        width: Pixels in a row.
+        across: Cells along a side of a pixel.
+        sample: Index of the sample among those of the ray.
+        samples: Number of samples of each ray.
+        per_pixel: Number of all samples that a pixel's filter covers.
+        first: The first thread's ray.
+        run: Number of rays per thread.
+        scattering_vectors_out: (u, v, w).
+        to_lights_out: Directions in the local frame.
+        gains_out: Gains by spectrum, (3, n); 0 where no light arrives.
+        xyz_out: Sums of colours, to which the pigment is added.
+        illuminated_out: Set where light arrives; empty is that nobody asks.
+    """
+    thread, _ = wp.tid()
+    pigment = wp.float32(lights.strengths[0][1])
+    weight = 1.0 / wp.float32(samples)
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        for spectrum in range(3):
+            gains_out[spectrum, i] = 0.0
+        if pixels.hit[i] == 0:
+            scattering_vectors_out[i] = wp.vec3d()
+            to_lights_out[i] = wp.vec3f()
+            continue
+        pixel = i
+        row = wp.int32(0)
+        column = wp.int32(0)
+        if tiles.shape[0] > 0:
+            cells = across * across
+            pixel = tiles[i // cells]
+            row = (i % cells) // across
+            column = i % across
+        row += pixel // width * across
+        column += pixel % width * across
+        index = morton_index(column, row) * wp.uint32(samples) + wp.uint32(sample)
+        point = sample_point(index, ORDER_SEED, SEED_X, SEED_Y)
+        within = sample_point(index, ORDER_SEED_OF_FILTER, SEED_FILTER_X, SEED_FILTER_Y)
+        tangent = pixels.tangent[i]
+        bitangent = pixels.bitangent[i]
+        normal = pixels.normal[i]
+        towards = pixels.to_view[i]
+        view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), wp.dot(normal, towards)))
+        # A place within the filter (Box and Muller), where (u, v) of light by way of a mirror is moved by so much, and
+        # in proportion to w for other light.
+        size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
+        angle = wp.static(2.0 * math.pi) * within[1]
+        right = size * wp.cos(angle)
+        down = size * wp.sin(angle)
+        footprint = footprints[i]
+        moved = wp.vec2f(
+            right * footprint[0] + down * footprint[2],
+            right * footprint[1] + down * footprint[3],
+        )
+        from_sky = point[0] < table.sky_share
+        uv = wp.vec2f()
+        light = wp.vec3f()
+        along = wp.vec3f()
+        if from_sky:
+            along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
+            light = wp.vec3f(wp.dot(tangent, along), wp.dot(bitangent, along), wp.dot(normal, along))
+            moved *= wp.max(light[2] + view[2], 0.0) / (2.0 * view[2])
+            uv = wp.vec2f(-light[0] - view[0] - moved[0], -light[1] - view[1] - moved[1])
+        else:
+            uv = draw_uv(table, wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1]))
+            x = -uv[0] - view[0]
+            y = -uv[1] - view[1]
+            moved *= (wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) + view[2]) / (2.0 * view[2])
+            x -= moved[0]
+            y -= moved[1]
+            light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
+            along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
+        scattering_vectors_out[i] = wp.vec3d(
+            wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2])
+        )
+        to_lights_out[i] = light
+        if light[2] * light[2] < LEAST_COSINE2 or light[2] < 0.0:
+            continue
+        from_texels = density_of_direction(table, sky, along)
+        density = (1.0 - table.sky_share) * density_of_uv(table, uv) + table.sky_share * from_texels / light[2]
+        if density <= 0.0:
+            continue
+        if shadows:
+            if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
+                continue
+        # dω is du dv over the cosine.
+        solid_angle = 1.0 / (per_pixel * density * light[2])
+        radiance = light_along(sky, along, BLUR_PER_SOLID_ANGLE * solid_angle)
+        rgb = (weight / density) * wp.vec3f(radiance[0], radiance[1], radiance[2])
+        gain = gain_over_cosine(reflection, uv, light, view)
+        for spectrum in range(3):
+            gains_out[spectrum, i] = gain * rgb[spectrum]
+        if illuminated_out.shape[0] > 0:
+            illuminated_out[i] = True
+        if pigment > 0.0:
+            material = wp.int32(0)
+            if reflection.materials.shape[0] > 0:
+                material = reflection.materials[pixels.face[i]]
+            under = wp.cw_mul(transmittance(reflection, material, light[2]), transmittance(reflection, material, view[2]))
+            base = wp.cw_mul(pixels.base_colour[i], under)
+            white = wp.vec3f()
+            for spectrum in range(3):
+                for channel in range(3):
+                    white[channel] = white[channel] + rgb[spectrum] * sky.whites[spectrum, channel]
+            xyz_out[i] = xyz_out[i] + wp.vec3f(lights.rgb_to_xyz * wp.vec3d(pigment * wp.cw_mul(base, white)))

@@ -1,0 +1,129 @@
+"""Distributions of directions under a sky: of what a surface sends by (u, v), and of the sky's texels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpdiff.kernels import sky_samples
+from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.sky_maps import SIDES, map_of
+from warpdiff.tables import polar_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.lights.sky_maps import SkyMaps
+    from warpdiff.optics.materials import IlluminatedMaterial
+    from warpdiff.tables.lookup import ColourLookup
+
+# Rings per octave of |(u, v)|, up to the largest one. The disc within the first ring has such a radius, over the
+# deviation of an order's lobe. Spokes are as far apart as so many deviations, but no more than a number of them.
+_RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
+_SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
+# Cosines of both directions together for which the surface's colours are averaged.
+_WS = (0.8, 1.3, 1.8)
+# Deviation of a look-up's footprint over the size of its cell.
+_WIDTH = 0.4
+# Share of a ring's light that is distributed evenly over its spokes, and of all light over the rings: places that are
+# dark at the cosines above may be bright at others.
+_EVEN_SHARE = 0.05
+# Level of the sky's maps whose texels are drawn from.
+_MAP_LEVEL = 2
+
+
+def distribution_for(
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], maps: SkyMaps, *, sky_share: float
+) -> Any:
+    """Return the struct ``SkyDistribution`` of a look-up and a sky, made or found again.
+
+    Args:
+        lookup: The look-up.
+        illuminated: Spectra by material.
+        maps: The sky.
+        sky_share: Share of the samples that are drawn from the sky's texels.
+    """
+    key = tuple(map(tuple, illuminated))
+    result = sky_samples.SkyDistribution()
+    of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
+    result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
+    result.row_cdf, result.column_cdf, result.texel_densities = maps.device_arrays.get_or_make(
+        (lookup.device.alias, "texels"), lambda: _of_texels(maps, lookup.device)
+    )
+    result.sky_share = sky_share
+    return result
+
+
+def _of_surface(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]) -> tuple[Any, ...]:
+    """Return the arrays and numbers of the distribution over (u, v)."""
+    lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
+    least = _DISC_RADIUS * lobe_uv
+    per_log = _RINGS_PER_OCTAVE / math.log(2.0)
+    rings = math.ceil(per_log * math.log(_FARTHEST / least))
+    radii = np.append(0.0, least * np.exp((np.arange(rings) + 0.5) / per_log))
+    spokes = np.clip(2.0 * math.pi * radii / (_SPOKES_APART * lobe_uv), _FEWEST_SPOKES, _MOST_SPOKES).astype(int)
+    starts = np.append(0, np.cumsum(spokes))
+    ring = np.repeat(np.arange(rings + 1), spokes)
+    angle = 2.0 * math.pi * (np.arange(starts[-1]) - starts[ring] + 0.5) / spokes[ring]
+    radius = radii[ring]
+    outwards = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    around = outwards[:, ::-1] * [-1.0, 1.0]
+    across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
+    footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
+    bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
+    # What a spoke sends is its colour times its area, relative to |(u, v)|² from the first ring on.
+    area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
+    means = np.add.reduceat(bright, starts[:-1]) / spokes
+    power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area
+    of_rings = np.add.reduceat(power, starts[:-1])
+    share_of_rings = (1.0 - _EVEN_SHARE) * of_rings / of_rings.sum() + _EVEN_SHARE / (rings + 1)
+    probability = power / of_rings[ring] * share_of_rings[ring]
+    size = np.where(ring == 0, math.pi * least**2, 2.0 * math.pi / per_log) / spokes[ring]
+    cumulative = np.cumsum(power) - np.repeat(np.append(0.0, np.cumsum(of_rings)[:-1]), spokes)
+    device = lookup.device
+    arrays = share_of_rings.cumsum(), starts, cumulative / of_rings[ring], probability / size
+    types = wp.float32, wp.int32, wp.float32, wp.float32
+    uploaded = [wp.array(values, dtype=dtype, device=device) for values, dtype in zip(arrays, types, strict=True)]
+    return *uploaded, math.log(least), per_log
+
+
+def _luminances(
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
+    footprints: NDArray[np.float64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Mean of X, Y and Z at places of (u, v), over materials, spectra and some |w|, (n,)."""
+    device, count = lookup.device, len(places)
+    vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
+    vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)
+    spreads = wp.array(np.tile(footprints.astype(np.float32), (len(_WS), 1)), dtype=Footprint, device=device)
+    to_lights = wp.zeros(len(vectors), dtype=wp.vec3f, device=device)
+    gains = wp.full(len(vectors), 1.0, dtype=wp.float32, device=device)
+    xyz = wp.zeros(len(vectors), dtype=wp.vec3f, device=device)
+    for spectra in illuminated:
+        for light in spectra:
+            lookup.accumulate(vectors_on_device, to_lights, gains, light, xyz, footprints=spreads)
+    return np.asarray(np.maximum(xyz.numpy().astype(np.float64), 0.0).sum(axis=1).reshape(len(_WS), count).mean(axis=0))
+
+
+def _of_texels(maps: SkyMaps, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
+    """Return cumulative shares of rows and of columns, and densities, of the texels of a map by their light."""
+    side = SIDES[_MAP_LEVEL]
+    bright = map_of(maps.texels, _MAP_LEVEL)[1:-1, 1:-1, :3].astype(np.float64).sum(axis=2)
+    place = np.abs((2.0 * np.arange(side) + 1.0) / side - 1.0)
+    x, z = np.meshgrid(place, place)
+    up = 1.0 - x - z
+    # Where the octahedron is folded, |x| and |z| are 1 − |z| and 1 − |x|.
+    folded = up < 0.0
+    size = np.sqrt(np.where(folded, (1.0 - x) ** 2 + (1.0 - z) ** 2, x**2 + z**2) + up**2)
+    power = bright / size**3
+    power = power / power.sum() + 1e-12
+    power /= power.sum()
+    of_rows = power.sum(axis=1)
+    arrays = np.cumsum(of_rows), np.cumsum(power, axis=1) / of_rows[:, None], power * side**2
+    rows, columns, densities = (wp.array(values, dtype=wp.float32, device=device) for values in arrays)
+    return rows, columns, densities
