@@ -1,10 +1,10 @@
 """Sky samples: directions drawn in proportion to what a surface sends from them, and to the sky.
 
-A sample's place in (u, v) comes from a table of the surface's own colours, or from the sky's texels; its density is
-that of both together (balance heuristic, Veach 1997). Samples of neighbouring cells and pixels belong to one (0, 2)
-sequence along a Morton curve, so that they are stratified together and errors look like fine grain (Ahmed and Wonka,
-Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical ordering of pixels, 2020). Scrambles are
-those of Burley (Practical hash-based Owen scrambling, 2020).
+A sample's place in (u, v) comes from a table of the surface's own colours, or its direction from blocks of the sky; its
+density is that of both together (balance heuristic, Veach 1997). Samples of neighbouring cells and pixels belong to one
+(0, 2) sequence along a Morton curve, so that they are stratified together and errors look like fine grain (Ahmed and
+Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical ordering of pixels, 2020).
+Scrambles are those of Burley (Practical hash-based Owen scrambling, 2020).
 """
 
 import math
@@ -14,7 +14,6 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
-from warpdiff.kernels.octahedral_maps import SkyMap, direction_at, light_along, on_octahedron
 from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
@@ -29,14 +28,20 @@ MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
 LEAST_COSINE2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
-# A sample's light is blurred over so much of the solid angle that it stands for (Křivánek and Colbert, Real-time
-# shading with filtered importance sampling, 2008), as a variance.
-BLUR_PER_SOLID_ANGLE = wp.constant(wp.float32(0.0))
+
+
+@wp.struct
+class Sky:
+    """A sky in latitude and longitude, the top row around +y, the middle column towards −z."""
+
+    powers: wp.array2d(dtype=wp.vec3f)  # per solid angle, by spectrum
+    turn: wp.float32  # angle that the sky is turned by about +y, of a whole turn
+    whites: wp.mat33f  # colours that a white pigment sends back under each spectrum, linear RGB in rows
 
 
 @wp.struct
 class SkyDistribution:
-    """Distribution of directions: rings of (u, v), each of so many spokes, and texels of an octahedral map."""
+    """Distribution of directions: rings of (u, v), each of so many spokes, and blocks of the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)
     starts: wp.array(dtype=wp.int32)  # of each ring the first spoke, and at last the number of all
@@ -44,10 +49,10 @@ class SkyDistribution:
     densities: wp.array(dtype=wp.float32)  # per ln|(u, v)| and radian; of the first ring, a disc, per area
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc
     per_log: wp.float32  # rings
-    row_cdf: wp.array(dtype=wp.float32)  # of texels
+    row_cdf: wp.array(dtype=wp.float32)  # of blocks
     column_cdf: wp.array2d(dtype=wp.float32)  # within the row
-    texel_densities: wp.array2d(dtype=wp.float32)  # per area of the map, which is 1
-    sky_share: wp.float32  # of samples that are drawn from texels
+    block_densities: wp.array2d(dtype=wp.float32)  # per solid angle
+    sky_share: wp.float32  # of samples that are drawn from blocks
 
 
 @wp.func
@@ -174,38 +179,57 @@ def density_of_uv(table: SkyDistribution, uv: wp.vec2f) -> wp.float32:
 
 
 @wp.func
-def turned(sky: SkyMap, along: wp.vec3f, sign: wp.float32) -> wp.vec3f:
-    """A direction of the world in the sky's own frame, or the other way round if the sign is −1."""
-    sine = sign * sky.turn[1]
-    return wp.vec3f(
-        sky.turn[0] * along[0] - sine * along[2], along[1], sine * along[0] + sky.turn[0] * along[2]
-    )
+def place_in_sky(sky: Sky, along: wp.vec3f) -> wp.vec2f:
+    """Where a direction lies from left to right and from top to bottom, 0 to 1."""
+    azimuth = wp.static(0.5 / math.pi) * wp.atan2(along[0], -along[2]) + 0.5 + sky.turn
+    polar = wp.atan2(wp.sqrt(along[0] * along[0] + along[2] * along[2]), along[1])
+    return wp.vec2f(azimuth - wp.floor(azimuth), wp.static(1.0 / math.pi) * polar)
 
 
 @wp.func
-def draw_direction(table: SkyDistribution, sky: SkyMap, point: wp.vec2f) -> wp.vec3f:
+def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
+    """What comes from a place of the sky, linear between the middles of its cells."""
+    height = sky.powers.shape[0]
+    width = sky.powers.shape[1]
+    x = place[0] * wp.float32(width) - 0.5
+    y = wp.clamp(place[1] * wp.float32(height) - 0.5, 0.0, wp.float32(height - 1))
+    column = wp.int32(wp.floor(x))
+    row = wp.min(wp.int32(y), height - 2)
+    s = x - wp.float32(column)
+    t = y - wp.float32(row)
+    left = (column + width) % width
+    right = (column + 1) % width
+    upper = (1.0 - s) * sky.powers[row, left] + s * sky.powers[row, right]
+    lower = (1.0 - s) * sky.powers[row + 1, left] + s * sky.powers[row + 1, right]
+    return (1.0 - t) * upper + t * lower
+
+
+@wp.func
+def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3f:
     """A direction in the world that the sky is bright in."""
-    side = table.row_cdf.shape[0]
-    row = find_step(table.row_cdf, 0, side, point[0])
-    t = within_step(table.row_cdf, 0, row, point[0])
+    rows = table.row_cdf.shape[0]
+    row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
-    column = find_step(columns, 0, side, point[1])
-    s = within_step(columns, 0, column, point[1])
-    per_side = 1.0 / wp.float32(side)
-    return turned(sky, direction_at((wp.float32(column) + s) * per_side, (wp.float32(row) + t) * per_side), -1.0)
+    column = find_step(columns, 0, columns.shape[0], point[1])
+    # Even in solid angle.
+    per_row = wp.static(math.pi) / wp.float32(rows)
+    top = wp.cos(per_row * wp.float32(row))
+    bottom = wp.cos(per_row * wp.float32(row + 1))
+    up = top + within_step(table.row_cdf, 0, row, point[0]) * (bottom - top)
+    level = wp.sqrt(wp.max(1.0 - up * up, 0.0))
+    place = (wp.float32(column) + within_step(columns, 0, column, point[1])) / wp.float32(columns.shape[0])
+    azimuth = wp.static(2.0 * math.pi) * (place - 0.5 - sky.turn)
+    return wp.vec3f(level * wp.sin(azimuth), up, -level * wp.cos(azimuth))
 
 
 @wp.func
-def density_of_direction(table: SkyDistribution, sky: SkyMap, along: wp.vec3f) -> wp.float32:
-    """The density of :func:`draw_direction`, per solid angle."""
-    side = table.row_cdf.shape[0]
-    in_sky = turned(sky, along, 1.0)
-    place = on_octahedron(in_sky)
-    row = wp.clamp(wp.int32(place[1] * wp.float32(side)), 0, side - 1)
-    column = wp.clamp(wp.int32(place[0] * wp.float32(side)), 0, side - 1)
-    # On the octahedron |x| + |y| + |z| = 1, and dω = 4 dA / r³.
-    size = wp.abs(in_sky[0]) + wp.abs(in_sky[1]) + wp.abs(in_sky[2])
-    return 0.25 * table.texel_densities[row, column] / (size * size * size)
+def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
+    """The density of :func:`draw_direction` at a place of the sky, per solid angle."""
+    rows = table.block_densities.shape[0]
+    columns = table.block_densities.shape[1]
+    row = wp.clamp(wp.int32(place[1] * wp.float32(rows)), 0, rows - 1)
+    column = wp.clamp(wp.int32(place[0] * wp.float32(columns)), 0, columns - 1)
+    return table.block_densities[row, column]
 
 
 @wp.func
@@ -255,12 +279,13 @@ def mirror_deflections(
 @wp.kernel
 def sample_sky(
     # In:
-    sky: SkyMap, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
+    sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
     reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
-    across: wp.int32, sample: wp.int32, samples: wp.int32, per_pixel: wp.float32, first: wp.int32, run: wp.int32,
+    across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
     # Out:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
-    gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), illuminated_out: wp.array(dtype=wp.bool),
+    gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
+    illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Draw one direction of the sky for each ray: its scattering vector, and gains by spectrum; adds the pigment.
 
@@ -278,7 +303,6 @@ def sample_sky(
         across: Cells along a side of a pixel.
         sample: Index of the sample among those of the ray.
         samples: Number of samples of each ray.
-        per_pixel: Number of all samples that a pixel's filter covers.
         first: The first thread's ray.
         run: Number of rays per thread.
         scattering_vectors_out: (u, v, w).
@@ -344,23 +368,20 @@ def sample_sky(
             y -= moved[1]
             light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
             along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
-        scattering_vectors_out[i] = wp.vec3d(
-            wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2])
-        )
+        scattering_vectors_out[i] = wp.vec3d(wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2]))
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_COSINE2 or light[2] < 0.0:
             continue
-        from_texels = density_of_direction(table, sky, along)
-        density = (1.0 - table.sky_share) * density_of_uv(table, uv) + table.sky_share * from_texels / light[2]
+        # dω is du dv over the cosine.
+        place = place_in_sky(sky, along)
+        density = (1.0 - table.sky_share) * density_of_uv(table, uv)
+        density += table.sky_share * density_of_direction(table, place) / light[2]
         if density <= 0.0:
             continue
         if shadows:
             if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
                 continue
-        # dω is du dv over the cosine.
-        solid_angle = 1.0 / (per_pixel * density * light[2])
-        radiance = light_along(sky, along, BLUR_PER_SOLID_ANGLE * solid_angle)
-        rgb = (weight / density) * wp.vec3f(radiance[0], radiance[1], radiance[2])
+        rgb = (weight / density) * power_at(sky, place)
         gain = gain_over_cosine(reflection, uv, light, view)
         for spectrum in range(3):
             gains_out[spectrum, i] = gain * rgb[spectrum]
@@ -370,8 +391,8 @@ def sample_sky(
             material = wp.int32(0)
             if reflection.materials.shape[0] > 0:
                 material = reflection.materials[pixels.face[i]]
-            under = wp.cw_mul(transmittance(reflection, material, light[2]), transmittance(reflection, material, view[2]))
-            base = wp.cw_mul(pixels.base_colour[i], under)
+            into = transmittance(reflection, material, light[2])
+            base = wp.cw_mul(wp.cw_mul(pixels.base_colour[i], into), transmittance(reflection, material, view[2]))
             white = wp.vec3f()
             for spectrum in range(3):
                 for channel in range(3):

@@ -66,9 +66,9 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
 @wp.kernel
 def estimate_errors(
     # In:
-    colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32), width: wp.int32,
-    floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool, subdivides_silhouettes: wp.bool,
-    first: wp.int32, run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
+    width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool,
+    subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
     # Out:
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
@@ -172,13 +172,14 @@ def add_penumbra_error(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, begin, "
-    "end, filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
+    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, "
+    "begin, end, filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
 )
 def splat_cells_run(
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
     pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, begin: wp.int32, end: wp.int32,
+    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, begin: wp.int32,
+    end: wp.int32,
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),

@@ -16,7 +16,7 @@ from warpdiff.core.caching import LruCache
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
-from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, maps_of, sample_grid
+from warpdiff.lights.sky_grid import SkyGrid, Sun, extract_suns, sample_grid
 from warpdiff.optics import colorimetry
 from warpdiff.optics.colorimetry import VISIBLE_NM
 from warpdiff.optics.spectra import Spectrum, colour_science
@@ -52,9 +52,8 @@ class Environment(Checked, Light):
         radiance_rgb: Linear sRGB radiance, shape (height, width, 3), up to 1e9; negative components count as 0.
         rotation_deg: Rotation about +y, counter-clockwise from above.
         scale: Linear factor of the radiance.
-        directions: Largest number of directions that a pixel's colour is summed over; about two thirds of them lie
-            above its horizon, and they are densest near the mirror direction. None is 820 over the picture's
-            tolerance, at most 32,768.
+        directions: Number of directions that are drawn for each pixel with ``refine=False``; None is 64. Refined
+            pictures draw as many as their tolerance asks for.
     """
 
     radiance_rgb: ArrayLike
@@ -98,8 +97,8 @@ class Environment(Checked, Light):
             path: Latitude-longitude image.
             rotation_deg: Rotation about +y, counter-clockwise from above [degrees], −360 to 360.
             scale: Linear factor of the radiance, 0 to 1e9.
-            directions: Largest number of directions that a pixel's colour is summed over, 16 to 32768; None is 820 over
-                the picture's tolerance, at most 32,768.
+            directions: Number of directions that are drawn for each pixel with ``refine=False``, 16 to 32768; None is
+                64.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -159,13 +158,10 @@ class Environment(Checked, Light):
         return np.asarray(self.scale * sample_grid(radiance, along, math.radians(self.rotation_deg)), dtype=np.float32)
 
     @forks.cached_property
-    def _maps(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Texels of :class:`SkyMaps`, but for window and scale, and suns.
-
-        They require 0.2 s, and do not depend on the rotation.
-        """
+    def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
+        """Radiances of a :class:`SkyGrid`, and suns, neither of which depends on window, scale and rotation."""
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
-        return maps_of(blurred_grids(grid)), suns
+        return grid.astype(np.float32), suns
 
     @forks.cached_property
     def _parts(self) -> LruCache[tuple[LightPart, ...]]:
@@ -185,9 +181,9 @@ class Environment(Checked, Light):
 
 
 def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """Return an environment of the same radiances with other settings, which were checked; it shares the maps."""
+    """Return an environment of the same radiances with other settings, which were checked; it shares the grid."""
     result = copy.copy(environment)
-    vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _maps=environment._maps)
+    vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grid=environment._grid)
     return result
 
 
@@ -196,23 +192,23 @@ class SkyPart(LightPart):
     """The sky of an environment, without its suns, which illuminates from the whole hemisphere.
 
     Attributes:
-        maps: The maps.
+        grid: The sky.
     """
 
-    maps: SkyMaps
+    grid: SkyGrid
     has_lobes = False
     has_extent = True
 
     def __post_init__(self) -> None:
-        # Frozen: these follow from the maps.
-        vars(self).update(spectra=self.maps.spectra, sample_count=self.maps.directions)
+        # Frozen: these follow from the grid.
+        vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass of the sky."""
         # Lights are described, as for the command line's help, without loading Warp.
         from warpdiff.lights.sky_pass import SkyPass
 
-        return SkyPass(self.maps, context)
+        return SkyPass(self.grid, context)
 
 
 def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
@@ -222,20 +218,19 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
     a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
     (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
-    texels, suns = environment._maps
+    grid, suns = environment._grid
     primaries, per_radiance = _spectra()
-    per_luminance = per_radiance.sum() / colorimetry.RGB_TO_XYZ[1].sum()
     scale = environment.scale * 4.0 * math.pi * sigma_um**2
-    powers = texels * (scale * np.append(per_radiance, per_luminance))
+    powers = grid * (scale * per_radiance).astype(np.float32)
     powers_of_suns = [scale * float(sun.rgb @ per_radiance) for sun in suns]
-    strongest = max([4.0 * math.pi * float(powers[:, :3].max()), *powers_of_suns])
+    strongest = max([4.0 * math.pi * float(powers.max()), *powers_of_suns])
     if strongest > MOST_POWER:
         raise ArgumentValueError(
             f"{ref('lights')}: an Environment has a power of {strongest:g}, and must have at most {MOST_POWER:g}; give "
             f"a smaller {ref('scale')}"
         )
     turn = math.radians(environment.rotation_deg)
-    result: list[LightPart] = [SkyPart(SkyMaps(primaries, powers.astype(np.float32), turn, directions))]
+    result: list[LightPart] = [SkyPart(SkyGrid(primaries, powers, turn, directions))]
     for sun, power in zip(suns, powers_of_suns, strict=True):
         x, y, z = sun.towards.tolist()
         to_light = math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x

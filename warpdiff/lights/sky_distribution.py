@@ -1,4 +1,4 @@
-"""Distributions of directions under a sky: of what a surface sends by (u, v), and of the sky's texels."""
+"""Distributions of directions under a sky: of what a surface sends by (u, v), and of the sky's blocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import warp as wp
 
 from warpdiff.kernels import sky_samples
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.sky_maps import SIDES, map_of
 from warpdiff.tables import polar_grid
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.lights.sky_maps import SkyMaps
+    from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
@@ -33,27 +32,27 @@ _WIDTH = 0.4
 # Share of a ring's light that is distributed evenly over its spokes, and of all light over the rings: places that are
 # dark at the cosines above may be bright at others.
 _EVEN_SHARE = 0.05
-# Level of the sky's maps whose texels are drawn from.
-_MAP_LEVEL = 2
+# Blocks of the sky's grid that are drawn from: so many cells along a side.
+_CELLS_OF_BLOCK = 4
 
 
 def distribution_for(
-    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], maps: SkyMaps, *, sky_share: float
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], grid: SkyGrid, *, sky_share: float
 ) -> Any:
     """Return the struct ``SkyDistribution`` of a look-up and a sky, made or found again.
 
     Args:
         lookup: The look-up.
         illuminated: Spectra by material.
-        maps: The sky.
-        sky_share: Share of the samples that are drawn from the sky's texels.
+        grid: The sky.
+        sky_share: Share of the samples that are drawn from the sky's blocks.
     """
     key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
-    result.row_cdf, result.column_cdf, result.texel_densities = maps.device_arrays.get_or_make(
-        (lookup.device.alias, "texels"), lambda: _of_texels(maps, lookup.device)
+    result.row_cdf, result.column_cdf, result.block_densities = grid.device_arrays.get_or_make(
+        (lookup.device.alias, "blocks"), lambda: _of_sky(grid, lookup.device)
     )
     result.sky_share = sky_share
     return result
@@ -110,20 +109,18 @@ def _luminances(
     return np.asarray(np.maximum(xyz.numpy().astype(np.float64), 0.0).sum(axis=1).reshape(len(_WS), count).mean(axis=0))
 
 
-def _of_texels(maps: SkyMaps, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
-    """Return cumulative shares of rows and of columns, and densities, of the texels of a map by their light."""
-    side = SIDES[_MAP_LEVEL]
-    bright = map_of(maps.texels, _MAP_LEVEL)[1:-1, 1:-1, :3].astype(np.float64).sum(axis=2)
-    place = np.abs((2.0 * np.arange(side) + 1.0) / side - 1.0)
-    x, z = np.meshgrid(place, place)
-    up = 1.0 - x - z
-    # Where the octahedron is folded, |x| and |z| are 1 − |z| and 1 − |x|.
-    folded = up < 0.0
-    size = np.sqrt(np.where(folded, (1.0 - x) ** 2 + (1.0 - z) ** 2, x**2 + z**2) + up**2)
-    power = bright / size**3
-    power = power / power.sum() + 1e-12
+def _of_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
+    """Return cumulative shares of rows and of columns, and densities, of blocks of a sky by their light."""
+    bright = grid.powers.sum(axis=2)
+    # The light between cells is linear, so that a bright one reaches into those around it.
+    bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
+    bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
+    rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)
+    bright = bright.reshape(rows, _CELLS_OF_BLOCK, columns, _CELLS_OF_BLOCK).mean(axis=(1, 3), dtype=np.float64)
+    solid = -np.diff(np.cos(np.arange(rows + 1) / rows * math.pi))[:, None] * 2.0 * math.pi / columns
+    power = bright * solid + 1e-300
     power /= power.sum()
     of_rows = power.sum(axis=1)
-    arrays = np.cumsum(of_rows), np.cumsum(power, axis=1) / of_rows[:, None], power * side**2
-    rows, columns, densities = (wp.array(values, dtype=wp.float32, device=device) for values in arrays)
-    return rows, columns, densities
+    arrays = np.cumsum(of_rows), np.cumsum(power, axis=1) / of_rows[:, None], power / solid
+    row_cdf, column_cdf, densities = (wp.array(values, dtype=wp.float32, device=device) for values in arrays)
+    return row_cdf, column_cdf, densities

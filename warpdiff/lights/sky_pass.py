@@ -9,41 +9,37 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, octahedral_maps, sky_samples
-from warpdiff.kernels.refinement_levels import FILTER_SIGMA, rays_at
+from warpdiff.kernels import light_samples, sky_samples
 from warpdiff.lights.light_pass import LightPass
 from warpdiff.lights.sky_distribution import distribution_for
-from warpdiff.lights.sky_maps import FIRST_BLUR, SIDES
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
-    from warpdiff.lights.sky_maps import SkyMaps
+    from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.tables.lookup import ColourLookup
 
-# Share of the samples that are drawn from the sky's texels, without and with a pigment, which sends light from
+# Share of the samples that are drawn from the sky's blocks, without and with a pigment, which sends light from
 # everywhere.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of pixels whose cells a pixel's filter covers, a Gaussian: 4π of its variance.
-_COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # Number of samples of each ray of pictures whose pixels are subdivided, where they only tell how bright the picture is.
 _FIRST_SAMPLES = 4
 
 
 class SkyPass(LightPass):
-    """Pass of a sky, whose maps the environment caches together with their arrays on devices.
+    """Pass of a sky, whose grid the environment caches together with its arrays on devices.
 
     Attributes:
-        maps: The maps.
+        grid: The sky.
     """
 
     is_sampled = True
 
-    def __init__(self, maps: SkyMaps, context: PassContext) -> None:
-        super().__init__(context, [maps.spectra])
-        self.maps = maps
-        self._map: Any = None
+    def __init__(self, grid: SkyGrid, context: PassContext) -> None:
+        super().__init__(context, [grid.spectra])
+        self.grid = grid
+        self._sky: Any = None
 
     @property
     def has_penumbrae(self) -> bool:
@@ -53,7 +49,7 @@ class SkyPass(LightPass):
     @property
     def lobe_count(self) -> int:
         """Number of samples of the pixels' own rays."""
-        return self.maps.directions
+        return self.grid.directions
 
     @property
     def first_lobes(self) -> range:
@@ -67,25 +63,24 @@ class SkyPass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """The maps, whose arrays the launches read."""
-        return type(self), self.maps
+        """The grid, whose arrays the launches read."""
+        return type(self), self.grid
 
     def begin(self, previous: LightPass | None) -> None:
-        """Upload the maps, unless the environment or the pass before has their arrays."""
+        """Upload the sky, unless the environment or the pass before has its arrays."""
         context = self.context
-        if isinstance(previous, SkyPass) and previous.maps is self.maps:
-            self._lights, self._map = previous._lights, previous._map
+        if isinstance(previous, SkyPass) and previous.grid is self.grid:
+            self._lights, self._sky = previous._lights, previous._sky
             return
         # Kernels read the strength of the pigment from where that of lobes stands.
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
-        self._map = octahedral_maps.SkyMap()
-        self._map.texels, self._map.sides, self._map.firsts = self.maps.device_arrays.get_or_make(
-            context.device.alias, lambda: upload_maps(self.maps, context.device)
+        self._sky = sky_samples.Sky()
+        self._sky.powers = self.grid.device_arrays.get_or_make(
+            context.device.alias, lambda: wp.array(self.grid.powers, dtype=wp.vec3f, device=context.device)
         )
-        self._map.variance = FIRST_BLUR**2
-        self._map.turn = wp.vec2f(math.cos(self.maps.turn), math.sin(self.maps.turn))
-        whites = [context.pigment_white(spectrum) for spectrum in self.maps.spectra]
-        self._map.whites = wp.mat33f(*np.ravel(whites))
+        self._sky.turn = self.grid.turn / (2.0 * math.pi)
+        whites = [context.pigment_white(spectrum) for spectrum in self.grid.spectra]
+        self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the calls that find the footprints of a batch for light by way of a mirror."""
@@ -100,12 +95,11 @@ class SkyPass(LightPass):
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes) if batch.level else len(self.first_lobes)
         share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
-        table = distribution_for(lookup, self.illuminated[0], self.maps, sky_share=share)
+        table = distribution_for(lookup, self.illuminated[0], self.grid, sky_share=share)
         mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0
         inputs = [
-            self._map, table, pixels, samples.footprints, self._lights, context.reflection, mesh_id,
+            self._sky, table, pixels, samples.footprints, self._lights, context.reflection, mesh_id,
             context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
-            count * (_COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0),
         ]  # fmt: skip
         outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
         calls = [KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
@@ -122,13 +116,3 @@ class SkyPass(LightPass):
                     batch.unserved_gain,
                 )  # fmt: skip
         return calls
-
-
-def upload_maps(maps: SkyMaps, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
-    """Upload the texels of a sky's maps, their sides, and the index of each map's first texel."""
-    firsts = np.cumsum([0, *((side + 2) ** 2 for side in SIDES[:-1])])
-    return (
-        wp.array(maps.texels, dtype=wp.vec4f, device=device),
-        wp.array(SIDES, dtype=wp.int32, device=device),
-        wp.array(firsts, dtype=wp.int32, device=device),
-    )

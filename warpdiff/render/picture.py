@@ -283,9 +283,7 @@ class Picture:
             # The neighbours of the outermost pixels are those of the margin.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
-        parts = ErrorParts(
-            xyz[illuminated], contrasts, cells=part(sums.errors), penumbrae=part(sums.penumbra_errors)
-        )
+        parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors), penumbrae=part(sums.penumbra_errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
         # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.

@@ -1,0 +1,152 @@
+"""Sky grids: a sky in latitude and longitude, without its suns, in three spectra that add up to any RGB."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from warpdiff.core.caching import LruCache
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.spectra import Spectrum
+
+# Rows of the grid of directions, in steps of 0.35°.
+_ROWS = 512
+# Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
+# Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
+_SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
+_AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
+
+
+class Sun(NamedTuple):
+    """A bright and small part of a sky."""
+
+    towards: NDArray[np.float64]
+    rgb: NDArray[np.float64]  # radiance times solid angle
+    deviation: float  # of its directions along an axis [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class SkyGrid:
+    """A sky as a light, at one rotation, scale and window.
+
+    Attributes:
+        spectra: Three illuminants; any colour is a sum of them.
+        powers: Power per solid angle by spectrum, in the directions of :func:`grid_directions`.
+        turn: Rotation about +y [rad].
+        directions: Number of directions of each pixel of pictures that are not refined.
+        device_arrays: Arrays of this grid on devices, by the device's name; whoever uploads them puts them here.
+    """
+
+    spectra: tuple[Spectrum, Spectrum, Spectrum]
+    powers: NDArray[np.float32]
+    turn: float
+    directions: int
+    device_arrays: LruCache[Any] = field(default_factory=LruCache, repr=False)
+
+
+def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Values of a grid over latitude and longitude in directions, linear between its points."""
+    height, width = grid.shape[:2]
+    polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
+    row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
+    column = ((np.arctan2(along[..., 0], -along[..., 2]) + turn) / (2.0 * math.pi) + 0.5) * width - 0.5
+    top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    left, next_left = left % width, (left + 1) % width
+    # Flat indices: np.take is five times as fast as a pair of index arrays.
+    flat, top = grid.reshape(height * width, -1), top * width
+    upper = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
+    top += width
+    lower = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
+    """A sky on the grid, without its suns, which are separate lights: the grid's cells are too wide."""
+    grid = _on_grid(radiance)
+    sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
+    suns: list[Sun] = []
+    if sun_extent > _FARTHEST_SUN_REACH:
+        return grid, suns
+    for _ in range(_MOST_SUNS):
+        split = _sun_in(grid, sun_extent)
+        if split is None:
+            break
+        suns.append(split[0])
+        grid = split[1]
+    return grid, suns
+
+
+def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[np.float64]] | None:
+    """The sun of a sky, if its brightest part is small and far brighter than what is around, and the sky without it."""
+    height, width = grid.shape[:2]
+    bright = grid @ colorimetry.RGB_TO_XYZ[1]
+    solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
+    least_power = _SUN_SHARE * (bright * solid).sum()
+    brightest = bright.max()
+    row, column = np.unravel_index(bright.argmax(), bright.shape)
+    # The surroundings reach twice as far as the sun, whose middle lies within its extent of its brightest cell.
+    reach = math.ceil(3.0 * sun_extent / math.pi * height) + 1
+    rows = slice(max(int(row) - reach, 0), int(row) + reach + 1)
+    bright, solid = bright[rows], np.broadcast_to(solid, bright.shape)[rows]
+    along = grid_directions()[rows]
+    towards = along[row - rows.start, column]
+    for _ in range(2):
+        away = np.arccos(np.clip(along @ towards, -1.0, 1.0))
+        inside, around = away < sun_extent, (away >= sun_extent) & (away < 2.0 * sun_extent)
+        background = np.average(bright[around], weights=solid[around])
+        power = np.where(inside, np.maximum(bright - background, 0.0) * solid, 0.0)
+        if power.sum() <= least_power:
+            return None
+        towards = (power[..., None] * along).sum(axis=(0, 1))
+        towards /= np.linalg.norm(towards)
+    if bright[around].max() > _AROUND_SUN * brightest:
+        return None
+    # What is left of it is as bright as what is around.
+    share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
+    rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
+    rest = grid.copy()
+    rest[rows] *= share
+    return Sun(towards, rgb, math.sqrt(0.5 * (power * away**2).sum() / power.sum())), rest
+
+
+def grid_directions() -> NDArray[np.float64]:
+    """Unit vectors to the middles of the grid's cells, (_ROWS, 2 _ROWS, 3)."""
+    polar = (np.arange(_ROWS) + 0.5) / _ROWS * math.pi
+    azimuth = ((np.arange(2 * _ROWS) + 0.5) / _ROWS - 1.0) * math.pi
+    level = np.sin(polar)[:, None]
+    along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
+    return np.stack(along, axis=-1)
+
+
+def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Radiance on a grid, (_ROWS, 2 _ROWS, 3): its means over cells, or linear between pixels that are larger."""
+    result = radiance.astype(np.float64)
+    if len(result) < _ROWS:
+        rows, columns = len(result), result.shape[1]
+        row = np.clip((np.arange(_ROWS) + 0.5) / _ROWS * rows - 0.5, 0.0, rows - 1.0)
+        column = (np.arange(2 * _ROWS) + 0.5) / (2 * _ROWS) * columns - 0.5
+        top, left = np.minimum(row.astype(int), rows - 2), np.floor(column).astype(int)
+        down, right = (row - top)[:, None, None], (column - left)[:, None]
+        result = (1.0 - down) * result[top] + down * result[top + 1]
+        return np.asarray((1.0 - right) * result[:, left % columns] + right * result[:, (left + 1) % columns])
+    for axis, count in enumerate((_ROWS, 2 * _ROWS)):
+        edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
+        targets = np.linspace(0.0, 1.0, count + 1)
+        if axis == 0:
+            # By solid angle.
+            edges, targets = (0.5 - 0.5 * np.cos(math.pi * places) for places in (edges, targets))
+        result = np.moveaxis(result, axis, 0)
+        sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(edges)[:, None, None], 0)])
+        place = np.interp(targets, edges, np.arange(len(edges)))
+        first = np.minimum(place.astype(int), len(edges) - 2)
+        sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
+        result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
+    return result
