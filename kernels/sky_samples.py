@@ -14,6 +14,7 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
+from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
@@ -27,7 +28,7 @@ SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(w
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
-LEAST_COSINE2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
+LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 
 @wp.struct
@@ -334,43 +335,41 @@ def sample_sky(
         index = morton_index(column, row) * wp.uint32(samples) + wp.uint32(sample)
         point = sample_point(index, ORDER_SEED, SEED_X, SEED_Y)
         within = sample_point(index, ORDER_SEED_OF_FILTER, SEED_FILTER_X, SEED_FILTER_Y)
-        tangent = pixels.tangent[i]
-        bitangent = pixels.bitangent[i]
-        normal = pixels.normal[i]
-        towards = pixels.to_view[i]
-        view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), wp.dot(normal, towards)))
-        # A place within the filter (Box and Muller), where (u, v) of light by way of a mirror is moved by so much, and
-        # in proportion to w for other light.
+        # A place within the filter (Box and Muller), where the normal is turned: (u, v) of light by way of a mirror
+        # moves by 2 cos θ times as much.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)
         down = size * wp.sin(angle)
         footprint = footprints[i]
-        moved = wp.vec2f(
-            right * footprint[0] + down * footprint[2],
-            right * footprint[1] + down * footprint[3],
-        )
-        from_sky = point[0] < table.sky_share
+        towards = pixels.to_view[i]
+        normal = pixels.normal[i]
+        per_move = 0.5 / wp.max(wp.dot(normal, towards), LEAST_COSINE)
+        normal += per_move * (right * footprint[0] + down * footprint[2]) * pixels.tangent[i]
+        normal += per_move * (right * footprint[1] + down * footprint[3]) * pixels.bitangent[i]
+        normal = wp.normalize(normal)
+        tangent = wp.normalize(pixels.tangent[i] - wp.dot(pixels.tangent[i], normal) * normal)
+        bitangent = wp.cross(normal, tangent)
+        if wp.dot(bitangent, pixels.bitangent[i]) < 0.0:
+            bitangent = -bitangent
+        cosine = wp.max(wp.dot(normal, towards), LEAST_COSINE)
+        view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), cosine))
         uv = wp.vec2f()
         light = wp.vec3f()
         along = wp.vec3f()
-        if from_sky:
+        if point[0] < table.sky_share:
             along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
             light = wp.vec3f(wp.dot(tangent, along), wp.dot(bitangent, along), wp.dot(normal, along))
-            moved *= wp.max(light[2] + view[2], 0.0) / (2.0 * view[2])
-            uv = wp.vec2f(-light[0] - view[0] - moved[0], -light[1] - view[1] - moved[1])
+            uv = wp.vec2f(-light[0] - view[0], -light[1] - view[1])
         else:
             uv = draw_uv(table, wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1]))
             x = -uv[0] - view[0]
             y = -uv[1] - view[1]
-            moved *= (wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)) + view[2]) / (2.0 * view[2])
-            x -= moved[0]
-            y -= moved[1]
             light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
             along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
         scattering_vectors_out[i] = wp.vec3d(wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2]))
         to_lights_out[i] = light
-        if light[2] * light[2] < LEAST_COSINE2 or light[2] < 0.0:
+        if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:
             continue
         # dω is du dv over the cosine.
         place = place_in_sky(sky, along)

@@ -28,7 +28,8 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
         levels, lighting = (wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))
         inputs = [
             array(colours, wp.vec3f), array(hit, wp.int32), array(gains, wp.float32), array([5], wp.int32),
-            array(before, wp.vec3f), array([], wp.int32), array(weights.ravel(), wp.float32), level, is_base, 0, 1,
+            array(before, wp.vec3f), array([], wp.int32), array(weights.ravel(), wp.float32), level, is_base, False,
+            0, 1,
         ]  # fmt: skip
         outputs = [sums, quadrants, changes, levels, lighting]
         wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
@@ -42,6 +43,63 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
         assert changes.numpy()[5] == pytest.approx(is_base * change, rel=1e-4)
         assert lighting.numpy()[5] == (1, 1 | 4, 1 | 2)[kind]
         assert levels.numpy().tolist() == 5 * [0] + [level] + 3 * [0]
+
+
+@pytest.mark.parametrize("level", [2, 3])
+def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
+    """Pixel 5 of nine is split; the cells of one block and some others meet nothing, which does not scatter."""
+    across = 2**level
+    colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
+    hit[: across // 4, : across // 4] = False
+    changes = wp.zeros(9, dtype=wp.float32, device="cpu")
+    inputs = [
+        array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array(hit.ravel(), wp.float32),
+        array([5], wp.int32), array(np.zeros((9, 3)), wp.vec3f), array([], wp.int32),
+        array(np.ones(3 * across), wp.float32), level, level == 2, True, 0, 1,
+    ]  # fmt: skip
+    unread = [wp.zeros((9, size), dtype=dtype, device="cpu") for size, dtype in ((9, wp.vec4f), (4, wp.vec3f))]
+    outputs = [*unread, changes, *(wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))]
+    wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
+    blocks = (colours * hit[..., None]).reshape(4, across // 4, 4, across // 4, 3).sum(axis=(1, 3)).reshape(16, 3)
+    hits = hit.reshape(4, across // 4, 4, across // 4).sum(axis=(1, 3)).ravel()
+    used = np.count_nonzero(hits)
+    away = blocks - hits[:, None] * blocks.sum(axis=0) / hits.sum()
+    expected = np.sqrt(np.sum(away**2) * used / (used - 1)) / across**2
+    assert changes.numpy()[5] == pytest.approx(expected, rel=1e-4)
+    # Colours that are all the same do not scatter, wherever the mesh ends.
+    inputs[0] = array(np.ones((across**2, 3)), wp.vec3f)
+    wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
+    assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
+    """Only tiles of the level that was shaded last are looked at, and those of other levels do not count."""
+    height, width, floor, tolerance, level, most = 7, 9, 0.5, 0.05, 3, 5
+    shaded = rng.choice([2, 3], (height, width), p=[0.3, 0.7])
+    scatter = rng.lognormal(-2.5, 1.5, (height, width)).astype(np.float32)
+    colours = rng.lognormal(size=(height, width, 3)).astype(np.float32)
+    marks = rng.uniform(size=(height, width)) < 0.8
+    sums = subdivision.FilteredSums()
+    sums.changes = array(scatter.ravel(), wp.float32)
+    sums.levels = array(shaded.ravel().astype(np.uint8), wp.uint8)
+    levels = array(shaded.ravel().astype(np.uint8), wp.uint8)
+    inputs = [
+        sums, array([], wp.int32), array(marks.ravel(), wp.uint8), array(colours.reshape(-1, 3), wp.vec3f),
+        width, height, array([floor], wp.float32), tolerance, level, most, 0, height * width,
+    ]  # fmt: skip
+    wp.launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
+    shares = np.outer(refinement_levels.FILTER_SHARES, refinement_levels.FILTER_SHARES)
+    expected = shaded.copy()
+    for row, column in zip(*np.nonzero(shaded == level), strict=True):
+        near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
+        near = [(y, x, shares[y - row + 1, x - column + 1]) for y, x in near if 0 <= y < height and 0 <= x < width]
+        needs = [share / max(np.linalg.norm(colours[y, x]), floor) for y, x, share in near if marks[y, x]]
+        values, weights = np.array([(scatter[y, x], share) for y, x, share in near if shaded[y, x] == level]).T
+        excess = refinement_levels.SCATTER_FACTOR * max(needs, default=0.0) / tolerance
+        excess *= np.sqrt(np.average(values**2, weights=weights))
+        expected[row, column] = min(level + int(np.floor(np.log2(max(excess, 1.0)) + 0.5)), most)
+    assert {2, 3, 4, 5} == set(expected.ravel())
+    np.testing.assert_array_equal(levels.numpy().reshape(height, width), expected)
 
 
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):

@@ -323,10 +323,9 @@ def test_errors_are_estimated_by_those_beside(size, slices, rng):
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
-    unevenness = kernels.Unevenness()
-    unevenness.scattering_vectors = wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
     given = [
-        wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"), unevenness,
+        wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
+        wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"), size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip

@@ -36,24 +36,32 @@ _EVEN_SHARE = 0.05
 _CELLS_OF_BLOCK = 4
 
 
+def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
+    """Upload the powers of a sky, cumulative shares of rows and columns of its blocks, and the blocks' densities."""
+    arrays = _of_sky(grid)
+    return (
+        wp.array(grid.powers, dtype=wp.vec3f, device=device),
+        *(wp.array(values, dtype=wp.float32, device=device) for values in arrays),
+    )
+
+
 def distribution_for(
-    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], grid: SkyGrid, *, sky_share: float
-) -> Any:
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
+    sky_share: float,
+) -> Any:  # fmt: skip
     """Return the struct ``SkyDistribution`` of a look-up and a sky, made or found again.
 
     Args:
         lookup: The look-up.
         illuminated: Spectra by material.
-        grid: The sky.
+        blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
     """
     key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
-    result.row_cdf, result.column_cdf, result.block_densities = grid.device_arrays.get_or_make(
-        (lookup.device.alias, "blocks"), lambda: _of_sky(grid, lookup.device)
-    )
+    result.row_cdf, result.column_cdf, result.block_densities = blocks
     result.sky_share = sky_share
     return result
 
@@ -109,7 +117,7 @@ def _luminances(
     return np.asarray(np.maximum(xyz.numpy().astype(np.float64), 0.0).sum(axis=1).reshape(len(_WS), count).mean(axis=0))
 
 
-def _of_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
+def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return cumulative shares of rows and of columns, and densities, of blocks of a sky by their light."""
     bright = grid.powers.sum(axis=2)
     # The light between cells is linear, so that a bright one reaches into those around it.
@@ -121,6 +129,4 @@ def _of_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, wp.array, wp.ar
     power = bright * solid + 1e-300
     power /= power.sum()
     of_rows = power.sum(axis=1)
-    arrays = np.cumsum(of_rows), np.cumsum(power, axis=1) / of_rows[:, None], power / solid
-    row_cdf, column_cdf, densities = (wp.array(values, dtype=wp.float32, device=device) for values in arrays)
-    return row_cdf, column_cdf, densities
+    return np.cumsum(of_rows), np.cumsum(power, axis=1) / of_rows[:, None], power / solid

@@ -10,8 +10,8 @@ import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples, sky_samples
+from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
-from warpdiff.lights.sky_distribution import distribution_for
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
@@ -40,6 +40,7 @@ class SkyPass(LightPass):
         super().__init__(context, [grid.spectra])
         self.grid = grid
         self._sky: Any = None
+        self._blocks: list[wp.array] = []
 
     @property
     def has_penumbrae(self) -> bool:
@@ -70,24 +71,23 @@ class SkyPass(LightPass):
         """Upload the sky, unless the environment or the pass before has its arrays."""
         context = self.context
         if isinstance(previous, SkyPass) and previous.grid is self.grid:
-            self._lights, self._sky = previous._lights, previous._sky
+            self._lights, self._sky, self._blocks = previous._lights, previous._sky, previous._blocks
             return
         # Kernels read the strength of the pigment from where that of lobes stands.
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._sky = sky_samples.Sky()
-        self._sky.powers = self.grid.device_arrays.get_or_make(
-            context.device.alias, lambda: wp.array(self.grid.powers, dtype=wp.vec3f, device=context.device)
+        self._sky.powers, *self._blocks = self.grid.device_arrays.get_or_make(
+            context.device.alias, lambda: sky_distribution.upload_sky(self.grid, context.device)
         )
         self._sky.turn = self.grid.turn / (2.0 * math.pi)
         whites = [context.pigment_white(spectrum) for spectrum in self.grid.spectra]
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the calls that find the footprints of a batch for light by way of a mirror."""
+        """Return the call that finds the scattering vectors of a batch for light by way of a mirror."""
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
-        call = KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)
-        return [call, self.filter_footprints(batch)]
+        return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that draw a direction for each ray of a batch, and add its colours."""
@@ -95,14 +95,14 @@ class SkyPass(LightPass):
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes) if batch.level else len(self.first_lobes)
         share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
-        table = distribution_for(lookup, self.illuminated[0], self.grid, sky_share=share)
+        table = sky_distribution.distribution_for(lookup, self.illuminated[0], self._blocks, sky_share=share)
         mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0
         inputs = [
             self._sky, table, pixels, samples.footprints, self._lights, context.reflection, mesh_id,
             context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
         ]  # fmt: skip
         outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
-        calls = [KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
+        calls = [self.filter_footprints(batch), KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
         for material, spectra in enumerate(self.illuminated[0]):
             for spectrum, illuminated in enumerate(spectra):
                 gain = gains[spectrum]

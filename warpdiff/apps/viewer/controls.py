@@ -54,7 +54,7 @@ EXCLUDED = (
 _SKY = "Environment"
 # Label and meaning of two controls.
 _X_AXIS = "x axis of the height field", "Direction of the height field's x axis on the body."
-_DIRECTIONS = {0: "from the tolerance", 256: "256", 1024: "1024", 4096: "4096"}
+_DIRECTIONS = {0: "64", 16: "16", 256: "256", 1024: "1024"}
 _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
 # Heights of a picture [pixels].

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.controls import Control
 
 # Directions of an environment per pixel while something moves.
-_MOVING_DIRECTIONS = 128
+_MOVING_DIRECTIONS = 16
 # Digits of a direction in lines of code; further digits change no picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}

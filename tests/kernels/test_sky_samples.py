@@ -1,0 +1,135 @@
+"""Samples of a sky: stratification, densities, gains, and the sky between its cells."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import hemisphere
+
+from warpdiff.kernels import sky_samples
+from warpdiff.kernels.light_samples import Reflection
+from warpdiff.lights.sky_grid import sample_grid
+from warpdiff.optics import reflectance_factors
+
+COUNT = 1 << 14
+
+
+def array(values, dtype):
+    return wp.array(values, dtype=dtype, device="cpu")
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def call_functions(
+    table: sky_samples.SkyDistribution, sky: sky_samples.Sky, reflection: Reflection,
+    along: wp.array(dtype=wp.vec3f), views: wp.array(dtype=wp.vec3f), points: wp.array(dtype=wp.vec2f),
+    indices: wp.array(dtype=wp.uint32), drawn_uv: wp.array(dtype=wp.vec2f), uv_densities: wp.array(dtype=wp.float32),
+    drawn: wp.array(dtype=wp.vec3f), densities: wp.array(dtype=wp.float32), powers: wp.array(dtype=wp.vec3f),
+    gains: wp.array(dtype=wp.float32),
+):  # fmt: skip
+    i = wp.tid()
+    points[i] = sky_samples.sample_point(wp.uint32(i), sky_samples.ORDER_SEED, sky_samples.SEED_X, sky_samples.SEED_Y)
+    indices[i] = sky_samples.morton_index(i % 128, i // 128)
+    drawn_uv[i] = sky_samples.draw_uv(table, points[i])
+    uv_densities[i] = sky_samples.density_of_uv(table, drawn_uv[i])
+    drawn[i] = sky_samples.draw_direction(table, sky, points[i])
+    place = sky_samples.place_in_sky(sky, drawn[i])
+    densities[i] = sky_samples.density_of_direction(table, place)
+    powers[i] = sky_samples.power_at(sky, sky_samples.place_in_sky(sky, along[i]))
+    uv = wp.vec2f(-along[i][0] - views[i][0], -along[i][1] - views[i][1])
+    gains[i] = sky_samples.gain_over_cosine(reflection, uv, along[i], views[i])
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Inputs, and what the functions give for them: a disc and two rings of 4, 8 and 16 spokes, 3 × 6 blocks."""
+    rng = np.random.default_rng(5)
+    table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
+    rings = np.array([0.2, 0.3, 0.5])
+    spokes = [rng.dirichlet(np.full(count, 2.0)) for count in (4, 8, 16)]
+    table.ring_cdf, table.starts = array(np.cumsum(rings), wp.float32), array([0, 4, 12, 28], wp.int32)
+    table.spoke_cdf = array(np.concatenate([np.cumsum(shares) for shares in spokes]), wp.float32)
+    table.least_log, table.per_log = math.log(0.25), 2.0 / math.log(3.0)
+    sizes = [math.pi * 0.25**2 / 4.0, 2.0 * math.pi / table.per_log / 8.0, 2.0 * math.pi / table.per_log / 16.0]
+    densities = [ring * shares / size for ring, shares, size in zip(rings, spokes, sizes, strict=True)]
+    table.densities = array(np.concatenate(densities), wp.float32)
+    blocks = rng.dirichlet(np.full(18, 1.0)).reshape(3, 6)
+    rows = blocks.sum(axis=1)
+    solid = -np.diff(np.cos(np.arange(4) * math.pi / 3.0))[:, None] * math.pi / 3.0
+    table.row_cdf = array(np.cumsum(rows), wp.float32)
+    table.column_cdf = array(np.cumsum(blocks, axis=1) / rows[:, None], wp.float32)
+    table.block_densities = array(blocks / solid, wp.float32)
+    grid = rng.uniform(size=(8, 16, 3))
+    sky.powers, sky.turn = array(grid, wp.vec3f), 0.3
+    reflection.normal_reflectance, reflection.masking = 0.04, True
+    along, views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
+    types = {
+        "points": wp.vec2f, "indices": wp.uint32, "drawn_uv": wp.vec2f, "uv_densities": wp.float32, "drawn": wp.vec3f,
+        "densities": wp.float32, "powers": wp.vec3f, "gains": wp.float32,
+    }  # fmt: skip
+    outputs = {name: wp.zeros(COUNT, dtype=dtype, device="cpu") for name, dtype in types.items()}
+    inputs = [table, sky, reflection, array(along, wp.vec3f), array(views, wp.vec3f)]
+    wp.launch(call_functions, COUNT, inputs, list(outputs.values()), device="cpu")
+    given = {"along": along, "views": views, "grid": grid, "rings": rings, "spokes": spokes, "blocks": blocks}
+    return given, {name: values.numpy() for name, values in outputs.items()}
+
+
+@pytest.mark.parametrize("size", [4, 16, 64, 1024])
+def test_points_of_each_square_of_cells_are_a_net(size, results):
+    """Any run of 2ⁿ points from a multiple of 2ⁿ on has one point in each of 2ⁿ boxes of equal area, of any shape."""
+    for points in results[1]["points"].reshape(-1, size, 2)[:64]:
+        for across in 2 ** np.arange(int(math.log2(size)) + 1):
+            boxes = (points * [across, size // across]).astype(int)
+            assert len(np.unique(boxes, axis=0)) == size
+
+
+def test_cells_follow_a_morton_curve(results):
+    indices = results[1]["indices"].reshape(128, 128)
+    np.testing.assert_array_equal(np.sort(indices.ravel()), np.arange(COUNT))
+    np.testing.assert_array_equal(indices[:4, :4], [[0, 1, 4, 5], [2, 3, 6, 7], [8, 9, 12, 13], [10, 11, 14, 15]])
+    # Each square of a power of 2 is one run.
+    assert np.all(np.ptp(indices.reshape(16, 8, 16, 8), axis=(1, 3)) == 63)
+
+
+def test_places_are_drawn_as_often_as_their_density_tells(results):
+    given, computed = results
+    radius = np.hypot(*computed["drawn_uv"].T)
+    ring = np.where(radius < 0.25, 0, 1 + (np.log(radius / 0.25) * 2.0 / math.log(3.0)).astype(int))
+    turn = np.arctan2(*computed["drawn_uv"].T[::-1]) / (2.0 * math.pi) % 1.0
+    for index, (share, spokes) in enumerate(zip(given["rings"], given["spokes"], strict=True)):
+        inside = ring == index
+        assert inside.mean() == pytest.approx(share, abs=2e-3)
+        counts = np.bincount((turn[inside] * len(spokes)).astype(int), minlength=len(spokes))
+        np.testing.assert_allclose(counts / inside.sum(), spokes, atol=3e-3)
+    # The mean of one over the density is the area that places are drawn from, and that of |(u, v)|² over it is known.
+    farthest = 0.25 * 3.0
+    per_density = 1.0 / computed["uv_densities"]
+    assert per_density.mean() == pytest.approx(math.pi * farthest**2, rel=0.01)
+    assert (radius**2 * per_density).mean() == pytest.approx(0.5 * math.pi * farthest**4, rel=0.01)
+
+
+def test_directions_are_drawn_as_often_as_their_density_tells(results):
+    given, computed = results
+    drawn = computed["drawn"]
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-6)
+    row = (np.arccos(np.clip(drawn[:, 1], -1.0, 1.0)) / math.pi * 3.0).astype(int)
+    column = ((np.arctan2(drawn[:, 0], -drawn[:, 2]) / (2.0 * math.pi) + 0.5 + 0.3) % 1.0 * 6.0).astype(int)
+    counts = np.bincount(6 * row + column, minlength=18)
+    np.testing.assert_allclose(counts / COUNT, given["blocks"].ravel(), atol=3e-3)
+    per_density = 1.0 / computed["densities"]
+    assert per_density.mean() == pytest.approx(4.0 * math.pi, rel=0.01)
+    assert (drawn[:, 1] ** 2 * per_density).mean() == pytest.approx(4.0 / 3.0 * math.pi, rel=0.01)
+
+
+def test_the_sky_is_linear_between_its_cells(results):
+    given, computed = results
+    expected = sample_grid(given["grid"], given["along"], 0.3 * 2.0 * math.pi)
+    np.testing.assert_allclose(computed["powers"], expected, atol=2e-5)
+
+
+def test_gains_are_those_of_the_library_for_a_light_of_a_size(results):
+    given, computed = results
+    expected = reflectance_factors.gain(
+        given["along"], given["views"], normal=0.04, masking=True, per_light_cosine=True
+    )
+    np.testing.assert_allclose(computed["gains"], expected, rtol=2e-4)
