@@ -46,7 +46,7 @@ def seen_at(degrees):
 
 
 @pytest.mark.parametrize(
-    ("degrees", "tolerance", "within"), [slow(40.0, 3e-2, 0.01), slow(40.0, 1e-1, 0.02), (80.0, 1e-1, 0.03)]
+    ("degrees", "tolerance", "within"), [slow(40.0, 3e-2, 0.015), slow(40.0, 1e-1, 0.02), (80.0, 1e-1, 0.02)]
 )
 def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(degrees, tolerance, within, square):
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08)
@@ -54,8 +54,10 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     grey = 1.0 + 0.8 * along[..., 1] + 0.5 * np.sin(3.0 * along[..., 0] + 1.0)
     window = wd.Coherence(sigma_um=4.0)
     view = seen_at(degrees)
-    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
-    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz[1, 1]
+    sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
+    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
+    # Pixels see the same, and draw other directions; what remains is the table's error.
+    found = found.mean(axis=(0, 1))
     # dω cos θ is du dv; of grey light the spectrum is D65's, and what directions send is ρ L dω 4πσ²/λ².
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
