@@ -123,7 +123,9 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
         assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - pixels), 99.0) <= 8
         # It fills the background. From another view its maps are the same arrays on the device.
         uploads, upload = [], sky_distribution.upload_sky
-        monkeypatch.setattr(sky_distribution, "upload_sky", lambda *operands: uploads.append(operands) or upload(*operands))
+        monkeypatch.setattr(
+            sky_distribution, "upload_sky", lambda *operands: uploads.append(operands) or upload(*operands)
+        )
         values, camera = rotated | {"environment_behind": False}, wd.View((0.5, 2.0, 3.0), (0.0, 0.0, 0.0))
         studio.request(page.session, PageRequest(2, values, camera, 0.25, False, (0.5, 0.5)))
         (*_, (_, plain)) = page.until(is_last)
