@@ -1,10 +1,11 @@
-"""Colours of pixels under a grey sky or a disc light, by sums of the reflectance over directions.
+"""Colours of pixels under a sky or a disc light, by sums of the reflectance over directions, with shadows.
 
-The sums use no code of environments, disc lights or footprints.
+The sums use no code of environments, disc lights, shadow grids or footprints.
 
-A pixel's rays are distributed over its filter (a Gaussian, σ 0.5 pixel, truncated at 1.5). Each has its own directions
-on a grid of (x, y) in its shading frame; the grids of a pixel are shifted, so that together they are finer. dω cos θ is
-dx dy, and the radiance from there is ρ L dω 4πσ²/λ² for light with the spectrum of D65.
+A pixel's rays are distributed over its filter (a Gaussian, σ 0.5 pixel, truncated at 1.5). Each has a direction of its
+own, half of them from the light and half from around the mirror direction (balance heuristic), and a shadow ray through
+a hierarchy of its own. dω cos θ is dx dy in the shading frame. The radiance from there is ρ L dω 4πσ²/λ², for light
+whose spectrum is that of its RGB under D65 (Mallett and Yuksel 2019).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 from scipy.special import ndtr, ndtri
 
 import warpdiff as wd
@@ -24,37 +26,51 @@ from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 # Traced rays along a side of a pixel, to which samples are rounded.
 _ACROSS = 16
-# Distance of a ray's directions, in standard deviations of the lobes, and number of rays that are summed together.
-_STEP, _RAYS = 1.2, 16
-# Share of the mirror directions that lie within the mirror's lobe.
+# Share of the directions around the mirror direction that lie within the mirror's lobe.
 _CORE = 0.25
+# Directions whose colours are looked up together.
+_DIRECTIONS = 1 << 17
+# Beyond any distance between two points of a mesh, in units of its radius.
+_FAR = 4.0
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _find_occluded(
+    mesh: wp.uint64, origins: wp.array(dtype=wp.vec3f), towards: wp.array(dtype=wp.vec3f), far: wp.float32,
+    occluded: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    i = wp.tid()
+    occluded[i] = wp.mesh_query_ray_anyhit(mesh, origins[i], towards[i], far)
 
 
 class SkySums:
     """Sums for the pixels of a mesh with a height field."""
 
-    def __init__(self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence) -> None:
+    def __init__(
+        self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence, *, shadows: bool = True
+    ) -> None:
         """Trace the rays."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
-        rays = rays_for(prepare_surface(mesh), fine, device=resolve_device(None), threads=1)
+        surface, device = prepare_surface(mesh), resolve_device(None)
+        rays = rays_for(surface, fine, device=device, threads=1)
         rays.launch(rays.trace(0, 1))
         pixels, shape = rays.gbuffer.pixels, (fine.height, fine.width)
         self._hit = pixels.hit.numpy().reshape(shape) != 0
-        axes = [getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view")]
-        self._axes = np.stack(axes, axis=1).reshape(*shape, 4, 3)
+        axes = [
+            getattr(pixels, name).numpy() for name in ("tangent", "bitangent", "normal", "to_view", "shadow_origin")
+        ]
+        self._axes = np.stack(axes, axis=1).reshape(*shape, 5, 3)
+        points = wp.array(surface.vertices, dtype=wp.vec3f, device=device)
+        indices = wp.array(surface.faces.ravel(), dtype=wp.int32, device=device)
+        self._mesh, self._device = wp.Mesh(points, indices) if shadows else None, device
         self._heightfield, self._coherence = heightfield, coherence
         self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
-        nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
-        d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
-        self._light = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
-        bright = colorimetry.colour_products("D65")[:, 1]
-        sigma = coherence.sigma_um or 0.0
-        self._scale = 4.0 * math.pi * sigma**2 * (bright / (1e-3 * nm) ** 2).sum() / bright.sum()
-        self._step = _STEP * 0.5 / (2.0 * math.pi * sigma)
 
     def interior(self) -> NDArray[np.int64]:
         """Return row and column of the pixels whose filter rays all hit the mesh, (n, 2)."""
@@ -68,42 +84,112 @@ class SkySums:
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
         """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, (n, 3).
 
-        Rays and directions are stratified independently. Half of the directions are points of the disc; the other half
-        lie around the mirror direction, at distances that are evenly spaced in their logarithm. Points of the disc
-        alone would miss a narrow mirror lobe in nearly all rays.
+        Rays and directions are stratified independently. Points of the disc alone would miss a narrow mirror lobe in
+        nearly all rays.
         """
-        rng = np.random.default_rng(seed)
-        cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
         axis = np.asarray(light.to_light)
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         aside /= np.linalg.norm(aside)
         ends = np.stack([aside, np.cross(axis, aside), axis])
         narrowest = math.cos(math.radians(light.angular_diameter_deg / 2.0))
         solid_angle = 2.0 * math.pi * (1.0 - narrowest)
-        result = np.zeros((len(pixels), 3))
-        for index, pixel in enumerate(pixels):
-            at = self._rays(pixel, cells, across, rng)
-            axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
-            share = (rng.permutation(cells) + rng.random(cells.shape)) / across
-            views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])
+
+        def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
             # Equal shares of the solid angle.
             cosine = 1.0 - share[:, 0] * (1.0 - narrowest)
             sine, around = np.sqrt(1.0 - cosine**2), 2.0 * math.pi * share[:, 1]
-            along = np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends
-            lights = np.einsum("nkc,nc->nk", axes[:, :3], along)
-            mirrored = rng.random(len(cells)) < 0.5
-            aside_xy = self._far_from_mirror(share)
-            lights[mirrored, :2] = -views[mirrored, :2] + aside_xy[mirrored]
+            return np.asarray(np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends)
+
+        def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.where(along @ axis >= narrowest * (1.0 - 1e-12), 1.0 / solid_angle, 0.0)
+
+        def colours(lights: NDArray[Any], views: NDArray[Any], along: NDArray[Any]) -> NDArray[Any]:
+            rho = wd.reflectance(self._heightfield, lights, views, coherence=self._coherence, plan=self._plan)
+            return np.asarray(density(along)[:, None] * rho)
+
+        return light.power * self._sums(pixels, draw, density, colours, across, seed)
+
+    def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
+        """Return XYZ of pixels under a sky, (height, width) or with RGB, by ``across``² rays per pixel, (n, 3)."""
+        sky = np.repeat(sky[..., None], 3, axis=2) if sky.ndim == 2 else sky
+        height, width = sky.shape[:2]
+        share_of = sky.sum(axis=2) * np.sin((np.arange(height) + 0.5) / height * math.pi)[:, None]
+        share_of = share_of / share_of.sum()
+        cumulative = np.cumsum(share_of)
+
+        def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
+            # Linear between pixels: each reaches one pixel further to all sides, by two numbers from 0 to 1.
+            pixel = np.minimum(np.searchsorted(cumulative, share[:, 0]), cumulative.size - 1)
+            within = (share[:, 0] - np.append(0.0, cumulative)[pixel]) / share_of.ravel()[pixel]
+            down, right = (_triangular(number) for number in (within, share[:, 1]))
+            polar = (pixel // width + 0.5 + down) / height * math.pi
+            azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
+            along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
+            # Beyond a pole there is nothing, and a density of 0.
+            return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
+
+        def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
+            sine = np.maximum(np.hypot(along[:, 0], along[:, 2]), 1e-9)
+            padded = np.pad(share_of, ((1, 1), (0, 0)))
+            per_cell = radiance(padded[..., None], along, beyond=1)[:, 0]
+            return np.asarray(per_cell * height * width / (2.0 * math.pi**2 * sine))
+
+        spectra = _primaries(self._coherence.sigma_um or 0.0)
+
+        def colours(lights: NDArray[Any], views: NDArray[Any], along: NDArray[Any]) -> NDArray[Any]:
+            light, result = radiance(sky, along), np.zeros((len(lights), 3))
+            for channel, (spectrum, scale) in enumerate(spectra):
+                rho = wd.reflectance(
+                    self._heightfield, lights, views, illuminant=spectrum, coherence=self._coherence, plan=self._plan
+                )
+                result += scale * light[:, channel : channel + 1] * rho
+            return result
+
+        return self._sums(pixels, draw, density, colours, across, seed)
+
+    def _sums(
+        self, pixels: NDArray[np.int64], draw: Callable[..., Any], density: Callable[..., Any],
+        colours: Callable[..., Any], across: int, seed: int,
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Return sums over directions, half of them drawn from the light; colours are per solid angle."""
+        rng = np.random.default_rng(seed)
+        cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
+        result = np.zeros((len(pixels), 3))
+        together = max(_DIRECTIONS // len(cells), 1)
+        for first in range(0, len(pixels), together):
+            part = pixels[first : first + together]
+            at = np.concatenate([self._rays(pixel, cells, across, rng) for pixel in part])
+            share = np.concatenate([(rng.permutation(cells) + rng.random(cells.shape)) / across for _ in part])
+            owner = np.repeat(np.arange(first, first + len(part)), len(cells))
+            hit = self._hit[at[:, 0], at[:, 1]]
+            at, share, owner = at[hit], share[hit], owner[hit]
+            axes = self._axes[at[:, 0], at[:, 1]].astype(np.float64)
+            frame, views = axes[:, :3], np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])
+            along = draw(share)
+            mirrored = rng.random(len(share)) < 0.5
+            lights = np.einsum("nkc,nc->nk", frame, along)
+            lights[mirrored, :2] = (-views[:, :2] + self._far_from_mirror(share))[mirrored]
             level2 = np.sum(lights[mirrored, :2] ** 2, axis=1)
             lights[mirrored, 2] = np.sqrt(np.maximum(1.0 - level2, 0.0))
-            inside = np.einsum("nk,nkc,c->n", lights, axes[:, :3], axis) >= narrowest * (1.0 - 1e-12)
-            counted = inside & (lights[:, 2] > 0.0)
-            lights, views = lights[counted], views[counted]
-            # The density of both kinds of directions.
-            density = 0.5 / solid_angle + 0.5 * lights[:, 2] * self._density(np.hypot(*(lights + views)[:, :2].T))
-            rho = wd.reflectance(self._heightfield, lights, views, coherence=self._coherence, plan=self._plan)
-            result[index] = (1.0 / (solid_angle * density)) @ rho / len(cells)
-        return light.power * result
+            along = np.where(mirrored[:, None], np.einsum("nk,nkc->nc", lights, frame), along)
+            seen = np.flatnonzero(lights[:, 2] > 0.0)
+            seen = seen[~self._occluded(axes[seen, 4], along[seen])]
+            lights, views, along = lights[seen], views[seen], along[seen]
+            mirror_density = lights[:, 2] * self._density(np.hypot(*(lights + views)[:, :2].T))
+            both = 0.5 * density(along) + 0.5 * mirror_density
+            added = colours(lights, views, along) / (both * len(cells))[:, None]
+            for channel in range(3):
+                result[:, channel] += np.bincount(owner[seen], weights=added[:, channel], minlength=len(pixels))
+        return result
+
+    def _occluded(self, origins: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether the mesh is met on the way to the light."""
+        if self._mesh is None:
+            return np.zeros(len(origins), dtype=np.bool_)
+        arrays = [wp.array(values, dtype=wp.vec3f, device=self._device) for values in (origins, towards)]
+        occluded = wp.empty(len(origins), dtype=wp.bool, device=self._device)
+        wp.launch(_find_occluded, len(origins), [self._mesh.id, *arrays, _FAR], [occluded], device=self._device)
+        return np.asarray(occluded.numpy())
 
     @property
     def _mirror(self) -> tuple[float, float]:
@@ -136,44 +222,38 @@ class SkySums:
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
-    def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
-        """Return XYZ of pixels under a sky (height, width), by ``across``² rays per pixel, (n, 3)."""
-        rng = np.random.default_rng(seed)
-        cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
-        result = np.zeros((len(pixels), 3))
-        for index, pixel in enumerate(pixels):
-            at = self._rays(pixel, cells, across, rng)
-            # Every ray has its own shift of the grid.
-            shift = (rng.permutation(cells) + rng.random(cells.shape)) / across * self._step
-            for first in range(0, len(cells), _RAYS):
-                part = slice(first, first + _RAYS)
-                axes = self._axes[at[part, 0], at[part, 1]].astype(np.float64)
-                result[index] += self._sum(axes, shift[part], sky) / len(cells)
-        return result * self._step**2 * self._scale
 
-    def _sum(self, axes: NDArray[np.float64], shift: NDArray[np.float64], sky: NDArray[np.float64]) -> NDArray[Any]:
-        """Return sums over directions of all rays, with shifted grids."""
-        grid = np.arange(-1.0 - self._step, 1.0 + self._step, self._step)
-        x = (grid + shift[:, :1])[:, :, None] + 0.0 * grid
-        y = (grid + shift[:, 1:])[:, None, :] + 0.0 * grid[:, None]
-        inside = x**2 + y**2 < 1.0 - 1e-6
-        ray = np.nonzero(inside)[0]
-        lights = np.stack([x[inside], y[inside], np.sqrt(1.0 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
-        along = np.einsum("nk,nkc->nc", lights, axes[ray, :3])
-        views = np.einsum("nkc,nc->nk", axes[:, :3], axes[:, 3])[ray]
-        rho = wd.reflectance(
-            self._heightfield, lights, views, illuminant=self._light, coherence=self._coherence, plan=self._plan
-        )
-        return np.asarray((radiance(sky, along) / lights[:, 2]) @ rho)
+def _triangular(number: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return numbers of a triangular distribution from −1 to 1, from numbers that are even from 0 to 1."""
+    return np.where(number < 0.5, np.sqrt(2.0 * number) - 1.0, 1.0 - np.sqrt(np.maximum(2.0 - 2.0 * number, 0.0)))
 
 
-def radiance(sky: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a sky's radiance in directions (n, 3): middle column at −z, row 0 at +y, linear between centres."""
-    height, width = sky.shape
-    row = np.clip(np.arccos(np.clip(along[:, 1], -1.0, 1.0)) / math.pi * height - 0.5, 0.0, height - 1.000001)
+def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
+    """Return the spectra L/λ² of red, green and blue light, and 4πσ² times what they add to Y over that of D65."""
+    colour: Any = colour_science()
+    nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
+    basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
+    d65, bright = colour.SDS_ILLUMINANTS["D65"].copy(), colorimetry.colour_products("D65")[:, 1]
+    white = np.interp(nm, d65.wavelengths, d65.values)
+    result = []
+    for channel in range(3):
+        reflected = np.maximum(np.interp(nm, basis.wavelengths, basis.values[:, channel]), 0.0)
+        scale = 4.0 * math.pi * sigma_um**2 * (bright * reflected / (1e-3 * nm) ** 2).sum() / bright.sum()
+        result.append((wd.Spectrum(nm, white * reflected / nm**2), float(scale)))
+    return result
+
+
+def radiance(sky: NDArray[np.float64], along: NDArray[np.float64], *, beyond: int = 0) -> NDArray[np.float64]:
+    """Return a sky's radiance in directions (n, 3): middle column at −z, row 0 at +y, linear between centres.
+
+    The sky may have rows ``beyond`` the poles.
+    """
+    width, last = sky.shape[1], len(sky) - 1.000001
+    height = len(sky) - 2 * beyond
+    row = np.clip(np.arccos(np.clip(along[:, 1], -1.0, 1.0)) / math.pi * height - 0.5 + beyond, 0.0, last)
     column = (np.arctan2(along[:, 0], -along[:, 2]) / (2.0 * math.pi) + 0.5) * width - 0.5
     north, west = row.astype(int), np.floor(column).astype(int)
-    descent, fraction = row - north, column - west
+    descent, fraction = (row - north)[:, None], (column - west)[:, None]
     west, east = west % width, (west + 1) % width
     upper = (1.0 - fraction) * sky[north, west] + fraction * sky[north, east]
     lower = (1.0 - fraction) * sky[north + 1, west] + fraction * sky[north + 1, east]
