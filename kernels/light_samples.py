@@ -39,13 +39,14 @@ class Reflection:
 
 
 @wp.func_native(
-    f"warpdiff::find_scattering_vectors<32>(pixels, place, reflection, scale, {thresholds.HORIZON}, counted, begins, "
-    "resets, occluded, begin, end, scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, "
+    f"warpdiff::find_scattering_vectors<32>(pixels, place, towards, reflection, scale, {thresholds.HORIZON}, counted, "
+    "begins, resets, occluded, begin, end, scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, "
     "illuminated_out);"
 )
 def scattering_vectors_run(
-    pixels: Pixels, place: wp.vec4d, reflection: Reflection, scale: wp.float64, counted: wp.float64, begins: wp.bool,
-    resets: wp.bool, occluded: wp.array(dtype=wp.bool), begin: wp.int32, end: wp.int32,
+    pixels: Pixels, place: wp.vec4d, towards: wp.array(dtype=wp.vec3f), reflection: Reflection, scale: wp.float64,
+    counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool), begin: wp.int32,
+    end: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -73,9 +74,9 @@ def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32
 @wp.kernel
 def scattering_vectors(
     # In:
-    pixels: Pixels, lights: Lights, light_index: wp.int32, reflection: Reflection, weight: wp.float64,
-    counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool), first: wp.int32,
-    run: wp.int32,
+    pixels: Pixels, lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec3f), reflection: Reflection,
+    weight: wp.float64, counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool),
+    first: wp.int32, run: wp.int32,
     # Out:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
@@ -86,7 +87,8 @@ def scattering_vectors(
     All that meet the mesh have a scattering vector, and where the light does not come their gain is 0. Its pigment is
     added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked
     as lit, from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these.
-    ``occluded`` says which pixels the light does not reach; empty is none.
+    ``occluded`` says which pixels the light does not reach; empty is none. ``towards`` are directions to the light that
+    pixels have of their own; empty is that of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -94,7 +96,7 @@ def scattering_vectors(
     thread, _ = wp.tid()
     begin = first + thread * run
     scattering_vectors_run(
-        pixels, place, reflection, scale, counted, begins, resets, occluded, begin, begin + run,
+        pixels, place, towards, reflection, scale, counted, begins, resets, occluded, begin, begin + run,
         scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, illuminated_out,
     )  # fmt: skip
     if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
@@ -209,11 +211,16 @@ def add_light_rotation(
 @wp.kernel
 def add_light_extent(
     # In:
-    lights: Lights, light_index: wp.int32, pixels: Pixels, first: wp.int32, run: wp.int32,
+    lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec3f), extent: wp.float32, pixels: Pixels,
+    first: wp.int32, run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances."""
+    """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances.
+
+    These directions are those of the light, or have a standard deviation of ``extent`` around those that pixels have of
+    their own, ``towards``; empty is none.
+    """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         footprint = footprints_out[i]
@@ -224,9 +231,19 @@ def add_light_extent(
             deviation = lights.deviations[light_index, axis]
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
+            if towards.shape[0] > 0:
+                # What is across a direction is all but what is along it.
+                x = wp.where(axis == 0, extent, 0.0)
+                y = wp.where(axis == 1, extent, 0.0)
             xx += x * x
             xy += x * y
             yy += y * y
+        if towards.shape[0] > 0:
+            x = extent * wp.dot(towards[i], pixels.tangent[i])
+            y = extent * wp.dot(towards[i], pixels.bitangent[i])
+            xx -= x * x
+            xy -= x * y
+            yy -= y * y
         # Cholesky's factor of the covariance.
         along = wp.sqrt(wp.max(xx, 1.0e-20))
         beside = xy / along

@@ -163,21 +163,22 @@ def look_up(
 @wp.kernel
 def trace_shadow_rays(
     # In:
-    grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, pixels: Pixels, first: wp.int32,
-    run: wp.int32,
+    grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec3f),
+    pixels: Pixels, first: wp.int32, run: wp.int32,
     # Out:
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
 
-    ``grid`` is that of the same light, and has no lists for one at a place.
+    ``grid`` is that of the same light, and has no lists for one at a place. ``directions`` are those to the light that
+    pixels have of their own; empty is that of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
     at_place = wp.bool(place[3] != wp.float64(0.0))
     thread, _ = wp.tid()
     begin = first + thread * run
-    if grid.starts.shape[0] > 0:
+    if grid.starts.shape[0] > 0 and directions.shape[0] == 0:
         look_up(grid, towards, pixels, begin, begin + run, occluded_out)
         return
     for ray in range(begin, begin + run):
@@ -185,6 +186,8 @@ def trace_shadow_rays(
         origin = pixels.shadow_origin[ray]
         along = towards
         far = FAR
+        if directions.shape[0] > 0:
+            along = directions[ray]
         if at_place:
             along = towards - origin
             far = wp.min(FAR, wp.length(along))

@@ -1,10 +1,7 @@
 """Sky samples: directions drawn in proportion to what a surface sends from them, and to the sky.
 
 A sample's place in (u, v) comes from a table of the surface's own colours, or its direction from blocks of the sky; its
-density is that of both together (balance heuristic, Veach 1997). Samples of neighbouring cells and pixels belong to one
-(0, 2) sequence along a Morton curve, so that they are stratified together and errors look like fine grain (Ahmed and
-Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical ordering of pixels, 2020).
-Scrambles are those of Burley (Practical hash-based Owen scrambling, 2020).
+density is that of both together (balance heuristic, Veach 1997).
 """
 
 import math
@@ -14,20 +11,12 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
+from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Seeds of the order of samples, of the numbers that choose a direction, and of those that choose a place within the
-# filter.
-ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
-SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
-SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
-# Even factors of the hash.
-MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
-MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
-PER_UNIT = wp.constant(wp.float32(2.0**-24))
 LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 
@@ -54,69 +43,6 @@ class SkyDistribution:
     column_cdf: wp.array2d(dtype=wp.float32)  # within the row
     block_densities: wp.array2d(dtype=wp.float32)  # per solid angle
     sky_share: wp.float32  # of samples that are drawn from blocks
-
-
-@wp.func
-def reverse_bits(value: wp.uint32) -> wp.uint32:
-    """The bits in reverse order."""
-    x = value
-    x = ((x >> wp.uint32(1)) & wp.uint32(0x55555555)) | ((x & wp.uint32(0x55555555)) << wp.uint32(1))
-    x = ((x >> wp.uint32(2)) & wp.uint32(0x33333333)) | ((x & wp.uint32(0x33333333)) << wp.uint32(2))
-    x = ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)) | ((x & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
-    x = ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)) | ((x & wp.uint32(0x00FF00FF)) << wp.uint32(8))
-    return (x >> wp.uint32(16)) | (x << wp.uint32(16))
-
-
-@wp.func
-def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    """Flip each bit by a hash of the bits above it (Laine and Karras's hash on the reversed bits)."""
-    x = reverse_bits(value)
-    x += seed
-    x ^= x * MIX_1
-    x ^= x * MIX_2
-    x ^= x * MIX_3
-    x ^= x * MIX_4
-    return reverse_bits(x)
-
-
-@wp.func
-def second_sobol(index: wp.uint32) -> wp.uint32:
-    """The second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the index."""
-    x = index
-    x ^= x >> wp.uint32(16)
-    x ^= (x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)
-    x ^= (x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F)
-    x ^= (x >> wp.uint32(2)) & wp.uint32(0x33333333)
-    x ^= (x >> wp.uint32(1)) & wp.uint32(0x55555555)
-    return reverse_bits(x)
-
-
-@wp.func
-def spread_bits(value: wp.uint32) -> wp.uint32:
-    """The lower 16 bits at the even places."""
-    x = value & wp.uint32(0x0000FFFF)
-    x = (x | (x << wp.uint32(8))) & wp.uint32(0x00FF00FF)
-    x = (x | (x << wp.uint32(4))) & wp.uint32(0x0F0F0F0F)
-    x = (x | (x << wp.uint32(2))) & wp.uint32(0x33333333)
-    return (x | (x << wp.uint32(1))) & wp.uint32(0x55555555)
-
-
-@wp.func
-def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
-    """The place of a cell of the picture along a Morton curve."""
-    return spread_bits(wp.uint32(column)) | (spread_bits(wp.uint32(row)) << wp.uint32(1))
-
-
-@wp.func
-def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
-    """A point of a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
-    shuffled = owen_scramble(index, order_seed)
-    x = owen_scramble(reverse_bits(shuffled), seed_x)
-    y = owen_scramble(second_sobol(shuffled), seed_y)
-    return wp.vec2f(
-        PER_UNIT * wp.float32(x >> wp.uint32(8)),
-        PER_UNIT * wp.float32(y >> wp.uint32(8)),
-    )
 
 
 @wp.func
@@ -322,19 +248,9 @@ def sample_sky(
             scattering_vectors_out[i] = wp.vec3d()
             to_lights_out[i] = wp.vec3f()
             continue
-        pixel = i
-        row = wp.int32(0)
-        column = wp.int32(0)
-        if tiles.shape[0] > 0:
-            cells = across * across
-            pixel = tiles[i // cells]
-            row = (i % cells) // across
-            column = i % across
-        row += pixel // width * across
-        column += pixel % width * across
-        index = morton_index(column, row) * wp.uint32(samples) + wp.uint32(sample)
-        point = sample_point(index, ORDER_SEED, SEED_X, SEED_Y)
-        within = sample_point(index, ORDER_SEED_OF_FILTER, SEED_FILTER_X, SEED_FILTER_Y)
+        index = sample_index(tiles, width, across, i, sample, samples)
+        point = light_point(index)
+        within = filter_point(index)
         # A place within the filter (Box and Muller), where the normal is turned: (u, v) of light by way of a mirror
         # moves by 2 cos θ times as much.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))

@@ -23,8 +23,6 @@ CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHAN
 TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*refinement_levels.FILTER_SHARES))
 ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]))
-# What penumbrae err by, of the root sum of squares of lobes that are hidden one after the other.
-ERROR_PER_LOBE = wp.constant(wp.float32(0.2))
 
 
 @wp.func
@@ -130,45 +128,6 @@ def estimate_errors(
         is_silhouette = met < around and subdivides_silhouettes
         is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))
         marks_out[pixel] = wp.where(is_active or all_pixels, ACTIVE, wp.uint8(0))
-
-
-@wp.kernel
-def add_occluded_power(
-    # In:
-    occluded: wp.array(dtype=wp.bool), strengths: wp.array(dtype=wp.vec2d), lobe: wp.int32, begins: wp.bool,
-    first: wp.int32, run: wp.int32,
-    # Out:
-    shadow_out: wp.array(dtype=wp.float32),
-):  # fmt: skip
-    """Add a lobe's strength to what is hidden from pixels, which ``begins`` with the first."""
-    strength = wp.float32(strengths[lobe][0])
-    thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        shadow = wp.where(begins, 0.0, shadow_out[i])
-        shadow_out[i] = wp.where(occluded[i], shadow + strength, shadow)
-
-
-@wp.kernel
-def add_penumbra_error(
-    # In:
-    colours: wp.array(dtype=wp.vec3f), shadow: wp.array(dtype=wp.float32), strengths: wp.array(dtype=wp.vec2d),
-    lobe: wp.int32, end: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
-    errors_out: wp.array(dtype=wp.float32),
-):  # fmt: skip
-    """Add what pixels err by from which some of a light's lobes are hidden, one after the other: so large a step."""
-    total = wp.float32(0.0)
-    square = wp.float32(0.0)
-    for k in range(lobe, end):
-        strength = wp.float32(strengths[k][0])
-        total += strength
-        square += strength * strength
-    step = ERROR_PER_LOBE * wp.sqrt(square)
-    thread, _ = wp.tid()
-    for i in range(first + thread * run, first + (thread + 1) * run):
-        if shadow[i] > 0.0:
-            # What is lit by less than a step is all wrong.
-            errors_out[i] = errors_out[i] + step / wp.max(total - shadow[i], step) * wp.length(colours[i])
 
 
 @wp.func_native(

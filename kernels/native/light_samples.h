@@ -40,11 +40,13 @@ struct LightPlace {
 template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // tangent, bitangent and normal, by axis; where light arrives
+    Batch<N> towards[3];                         // to the light, if each pixel has a direction of its own
     Batch<N, double> light[3], uvw[3];           // to the light, and the sum of both directions, in that frame
     Batch<N> gain;
 
     template <class Pixels>
-    WARPDIFF_INLINE void load(const Pixels& pixels, bool is_at_a_place, int from, int count)
+    WARPDIFF_INLINE void load(
+        const Pixels& pixels, bool is_at_a_place, const float* directions, int from, int count)
     {
         const float* const frames[3] = {numbers<const float>(pixels.tangent), numbers<const float>(pixels.bitangent),
             numbers<const float>(pixels.normal)};
@@ -56,6 +58,7 @@ struct ScatteringBatch {
                 for (int axis = 0; axis < 3; ++axis) frame[axis][c][i] = frames[axis][at + c];
                 to_view[c][i] = views[at + c];
                 origin[c][i] = is_at_a_place ? origins[at + c] : 0.0f;
+                towards[c][i] = directions ? directions[at + c] : 0.0f;
             }
         }
     }
@@ -77,7 +80,8 @@ WARPDIFF_INLINE double gain_of(
 // Of pixels side by side; gains below the horizon are 0.
 template <int N, class Reflection>
 WARPDIFF_INLINE void scatter(
-    const LightPlace& light, const Reflection& reflection, double scale, double horizon, ScatteringBatch<N>& batch)
+    const LightPlace& light, bool has_directions, const Reflection& reflection, double scale, double horizon,
+    ScatteringBatch<N>& batch)
 {
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
@@ -87,6 +91,8 @@ WARPDIFF_INLINE void scatter(
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
         const double strength = scale * light.from(origin, towards);
+        if (has_directions)
+            for (int c = 0; c < 3; ++c) towards[c] = batch.towards[c][i];
         for (int axis = 0; axis < 3; ++axis) {
             const double x = batch.frame[axis][0][i], y = batch.frame[axis][1][i], z = batch.frame[axis][2][i];
             to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;
@@ -108,16 +114,17 @@ WARPDIFF_INLINE void scatter(
 
 // Scattering vectors of pixels from begin to end. All that meet the mesh have one, whether they are lit or not: those
 // beside them ask how (u, v) changes. `counted` is added to the coverage of those.
-template <int BATCH, class Pixels, class Vector, class Reflection, class Flags, class ScatteringVectors, class Lights,
-    class Gains, class Colours, class Coverage>
-WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Reflection& reflection,
-    double scale, double horizon, double counted, bool begins, bool resets, const Flags& occluded, int begin, int end,
+template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
+    class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
+WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,
+    const Reflection& reflection, double scale, double horizon, double counted, bool begins, bool resets, const Flags& occluded, int begin, int end,
     ScatteringVectors& scattering_vectors_out, Lights& to_lights_out, Gains& gains_out, Colours& xyz_out,
     Coverage& coverage_out, Flags& illuminated_out)
 {
     constexpr int N = batch_of(BATCH);
     const LightPlace light = {{place[0], place[1], place[2], place[3]}};
     const int* const hit = numbers<const int>(pixels.hit);
+    const float* const directions = is_empty(towards) ? nullptr : numbers<const float>(towards);
     const bool* const is_occluded = is_empty(occluded) ? nullptr : numbers<const bool>(occluded);
     const bool sums = !is_empty(coverage_out);
     const SumsOfPixels sums_of = {numbers<float>(xyz_out), numbers<double>(coverage_out),
@@ -135,8 +142,8 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
             continue;
         }
         ScatteringBatch<N> batch;
-        batch.load(pixels, place[3] != 0.0, from, count);
-        scatter(light, reflection, scale, horizon, batch);
+        batch.load(pixels, place[3] != 0.0, directions, from, count);
+        scatter(light, directions != nullptr, reflection, scale, horizon, batch);
         for (int i = 0; i < count; ++i) {
             const bool is_hit = hit[from + i] != 0;
             const bool is_illuminated = is_hit && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);

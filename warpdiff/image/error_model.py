@@ -1,4 +1,4 @@
-"""Error model: the estimated error of a pixel from that of its colours, its cells and penumbrae.
+"""Error model: the estimated error of a pixel from that of its colours and its cells.
 
 The constants bound 95 of 100 errors of pictures against many rays per pixel: see docs/decisions/error_estimates.md.
 """
@@ -35,13 +35,11 @@ class ErrorParts:
         xyz: The colours, (n, 3).
         contrasts: Largest difference from a neighbouring pixel; None for points, which are no means.
         cells: Error that remains after subdivision.
-        penumbrae: Error of partly occluded lights.
     """
 
     xyz: NDArray[np.float32]
     contrasts: NDArray[np.float32] | None = None
     cells: NDArray[np.float32] | None = None
-    penumbrae: NDArray[np.float32] | None = None
 
 
 @np.errstate(under="ignore")
@@ -55,8 +53,6 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
     if parts.cells is not None:
         # Neither depends on the other.
         errors = _BOUND_OF_BOTH * np.hypot(errors, parts.cells)
-    if parts.penumbrae is not None:
-        errors = np.hypot(errors, parts.penumbrae)
     return errors
 
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Limit of powers: squares of colours are float32.
 MOST_POWER = 1e12
+# Samples of the pixels' own rays under a disc, where no cells follow.
+DISC_SAMPLES = 32
 
 
 class Light(ABC):
@@ -88,7 +90,7 @@ class Lobe:
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Lobes of one light, as directional lights, discs and point lights have them.
+    """Lobes, which are refined together: directional lights, small discs, point lights and suns.
 
     Attributes:
         lobes: The lobes.
@@ -112,24 +114,46 @@ class LobeSet(LightPart):
         return LobePass(self, context)
 
 
+@dataclass(frozen=True, eq=False)
+class DiscPart(LightPart):
+    """A disc light whose directions are sampled.
+
+    Attributes:
+        lobe: The lobe with the mean and the variance of the disc.
+        radius: Angular radius [rad].
+    """
+
+    lobe: Lobe
+    radius: float
+    has_lobes = True
+    has_extent = True
+    sample_count = DISC_SAMPLES
+
+    def __post_init__(self) -> None:
+        # Frozen: this follows from the lobe.
+        vars(self).update(spectra=(self.lobe.illuminant,))
+
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass of a disc."""
+        # Lights are described, as for the command line's help, without loading Warp.
+        from warpdiff.lights.disc_pass import DiscPass
+
+        return DiscPass(self, context)
+
+
 class LobeLight(Light):
-    """Base class of lights that consist of lobes of one illuminant."""
+    """Base class of lights that one lobe can approximate."""
 
     illuminant: str | Spectrum
 
     @abstractmethod
-    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
-        """Return the lobes.
+    def lobe(self) -> Lobe:
+        """Return the light as one lobe, whose mean and variance are those of a disc."""
 
-        Args:
-            sigma_um: Standard deviation of the window that blurs the light [µm]; None does not blur it.
-            single_lobe: Whether a light that one lobe can approximate becomes one.
-        """
-
-    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of environments)
-        """Return all lobes as one part."""
+    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
+        """Return the lobe as a part."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
-        return [LobeSet(tuple(self.lobes(coherence.sigma_um, single_lobe=single_lobe)))]
+        return [LobeSet((self.lobe(),))]
 
 
 def orthonormal_pair(axis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,17 +11,19 @@ from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.core.options import Checked
-from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight, orthonormal_pair
-from warpdiff.lights.disc_lobes import lobes_of_disc
-from warpdiff.optics.colorimetry import check_illuminant_type
+from warpdiff.lights.base import MOST_POWER, DiscPart, LightPart, Lobe, LobeLight, orthonormal_pair
+from warpdiff.optics.colorimetry import check_illuminant, check_illuminant_type
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
 # Softboxes: beyond, a light is an environment.
 _WIDEST_DEG = 60.0
-# A disc up to this diameter shows no shape, and is one Gaussian; up to the second one if a single lobe is preferred. A
-# wider disc is rings of Gaussians.
+# A disc up to this diameter shows no shape, and is one Gaussian; up to the second one if a single lobe is preferred.
+# Directions of a wider disc are sampled.
 _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
@@ -51,28 +53,21 @@ class DirectionalLight(Checked, LobeLight):
         super().__post_init__()
         check_illuminant_type(self.illuminant)
 
-    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:
-        """Return one lobe with the mean and variance of the disc, or several that also have its rim.
+    def lobe(self) -> Lobe:
+        """Return the light as one lobe, whose mean and variance are those of the disc."""
+        if self.angular_diameter_deg == 0.0:
+            return Lobe(self.to_light, self.illuminant, self.power)
+        deviations = 0.5 * self._radius * orthonormal_pair(np.asarray(self.to_light))
+        return Lobe(self.to_light, self.illuminant, self.power, deviations)
 
-        Args:
-            sigma_um: Standard deviation of the window, which blurs the rim [µm]; None does not blur it.
-            single_lobe: Whether a disc that one lobe can approximate becomes one.
-        """
-        radius = math.radians(self.angular_diameter_deg / 2.0)
-        if radius == 0.0:
-            return [Lobe(self.to_light, self.illuminant, self.power)]
-        axis = np.asarray(self.to_light)
-        tangent, bitangent = orthonormal_pair(axis)
+    @property
+    def _radius(self) -> float:
+        """Angular radius [rad]."""
+        return math.radians(self.angular_diameter_deg / 2.0)
+
+    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:
+        """Return one lobe, or a disc whose directions are sampled: see :class:`warpdiff.lights.base.Light`."""
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
-            return [Lobe(self.to_light, self.illuminant, self.power, radius / 2.0 * np.stack([tangent, bitangent]))]
-        result: list[Lobe] = []
-        for polar, azimuth, radial, tangential, share in lobes_of_disc(self.angular_diameter_deg, sigma_um):
-            outwards = math.cos(azimuth) * tangent + math.sin(azimuth) * bitangent
-            x, y, z = (math.cos(polar) * axis + math.sin(polar) * outwards).tolist()
-            deviations = [
-                radial * (math.cos(polar) * outwards - math.sin(polar) * axis),
-                tangential * (math.cos(azimuth) * bitangent - math.sin(azimuth) * tangent),
-            ]
-            power = self.power * share
-            result.append(Lobe((x, y, z), self.illuminant, power, np.stack(deviations)))
-        return result
+            return super().parts(coherence, tolerance=tolerance, single_lobe=single_lobe, name=name)
+        check_illuminant(self.illuminant, f"{name}.illuminant")
+        return [DiscPart(self.lobe(), self._radius)]

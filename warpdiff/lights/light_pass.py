@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, subdivision
+from warpdiff.kernels import light_samples
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
@@ -126,7 +126,8 @@ class LightSamples:
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits.
-        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) for other lights.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) without sampled lights.
+        towards: Directions to the light that rays have of their own, world frame, (n,) of ``wp.vec3f``; likewise.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
         material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
     """
@@ -136,12 +137,13 @@ class LightSamples:
     to_lights: wp.array
     gains: wp.array
     spectral_gains: wp.array
+    towards: wp.array
     footprints: wp.array
     material_gains: wp.array
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_materials: bool, has_skies: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
     ) -> LightSamples:
         """Return the arrays for a number of rays, with footprints if they show ``means``."""
 
@@ -150,7 +152,8 @@ class LightSamples:
 
         return cls(
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
-            wp.empty((3, rays) if has_skies else (0, 0), dtype=wp.float32, device=device),
+            wp.empty((3 * is_sampled, rays * is_sampled), dtype=wp.float32, device=device),
+            empty(wp.vec3f, rays * is_sampled),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 
@@ -288,28 +291,9 @@ class LightPass(ABC):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
-    @property
-    def has_penumbrae(self) -> bool:
-        """Whether the mesh may occlude some of several lobes."""
-        return self.lobe_count > 1 and self.context.casts_shadows
-
     def occlusion(self, samples: LightSamples) -> wp.array:
         """Return which rays are occluded from the last lobe; empty is none of them."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
-
-    def penumbra_calls(
-        self, lobe: int, batch: RayBatch, occluded_power: wp.array, errors: wp.array
-    ) -> list[KernelCall]:
-        """Return the calls that add a sampled lobe to the occluded power, and after the last one its error."""
-        if not self.has_penumbrae:
-            return []
-        strengths = self._lights.strengths
-        inputs = [batch.samples.occluded, strengths, lobe, lobe == 0]
-        calls = [KernelCall(subdivision.add_occluded_power, inputs, [occluded_power], in_runs=True)]
-        if lobe == self.lobe_count - 1:
-            inputs = [batch.xyz, occluded_power, strengths, 0, self.lobe_count]
-            calls.append(KernelCall(subdivision.add_penumbra_error, inputs, [errors], in_runs=True))
-        return calls
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
         """Return the call that finds the footprints of the rays' filter in (u, v)."""

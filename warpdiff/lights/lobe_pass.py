@@ -39,17 +39,18 @@ class LobePass(LightPass):
         self.part = part
         self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
         self._grids: list[Any] = []
+        self._no_directions = wp.empty(0, dtype=wp.vec3f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into the arrays of a pass of as many lobes, or into new ones."""
         lobes, context = self.part.lobes, self.context
-        if isinstance(previous, LobePass) and previous.lobe_count == self.lobe_count:
+        if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
             self._lights = previous._lights
         else:
             arrays: dict[str, Any] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
             for name, dtype in arrays.items():
-                setattr(self._lights, name, wp.empty(self.lobe_count, dtype=dtype, device=context.device))
-            self._lights.deviations = wp.empty((self.lobe_count, 2), dtype=wp.vec3f, device=context.device)
+                setattr(self._lights, name, wp.empty(len(lobes), dtype=dtype, device=context.device))
+            self._lights.deviations = wp.empty((len(lobes), 2), dtype=wp.vec3f, device=context.device)
         deviations = [np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations for lobe in lobes]
         self._lights.places.assign(np.array([self._place(lobe) for lobe in lobes]))
         self._lights.strengths.assign(np.array(self._strengths))
@@ -85,7 +86,7 @@ class LobePass(LightPass):
     @property
     def is_prepared(self) -> bool:
         """Whether there is a grid for each lobe."""
-        return len(self._grids) == self.lobe_count
+        return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
         """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction that a grid is for."""
@@ -97,16 +98,22 @@ class LobePass(LightPass):
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the calls that find occlusion, scattering vectors and geometry factors of a lobe."""
+        return self.scatter_towards(self._no_directions, lobe, 1.0, batch, counting)
+
+    def scatter_towards(
+        self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
+    ) -> list[KernelCall]:
+        """Return the calls of :meth:`scatter` for a share of a lobe, whose direction each ray may have of its own."""
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
         inputs = [
-            pixels, self._lights, lobe, self.context.reflection, counting.weight, counting.counted, counting.begins,
-            counting.resets, occluded,
+            pixels, self._lights, lobe, towards, self.context.reflection, share * counting.weight, counting.counted,
+            counting.begins, counting.resets, occluded,
         ]  # fmt: skip
         outputs = [*samples.directions, *batch.sums]
         calls = []
         if len(occluded):
-            shadow_inputs = [self._grids[lobe], self._lights.places, lobe, pixels]
+            shadow_inputs = [self._grids[lobe], self._lights.places, lobe, towards, pixels]
             calls.append(KernelCall(trace_shadow_rays, shadow_inputs, [occluded], in_runs=True))
         calls.append(KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True))
         if len(self.context.reflection.energy):
@@ -129,7 +136,7 @@ class LobePass(LightPass):
             inputs = [rays.camera, rays.scene.bare, pixels, self._lights, lobe, batch.deviation]
             calls.append(KernelCall(light_samples.add_light_rotation, inputs, footprints, in_runs=True))
         if self.part.lobes[lobe].deviations is not None:
-            inputs = [self._lights, lobe, pixels]
+            inputs = [self._lights, lobe, self._no_directions, 0.0, pixels]
             calls.append(KernelCall(light_samples.add_light_extent, inputs, footprints, in_runs=True))
         return calls
 

@@ -35,6 +35,6 @@ class PointLight(Checked, LobeLight):
         super().__post_init__()
         check_illuminant_type(self.illuminant)
 
-    def lobes(self, sigma_um: float | None = None, *, single_lobe: bool = False) -> list[Lobe]:  # noqa: ARG002 (of discs)
-        """Return the single lobe of a position."""
-        return [Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position)]
+    def lobe(self) -> Lobe:
+        """Return the light as one lobe at a position."""
+        return Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position)

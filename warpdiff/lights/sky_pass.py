@@ -43,11 +43,6 @@ class SkyPass(LightPass):
         self._blocks: list[wp.array] = []
 
     @property
-    def has_penumbrae(self) -> bool:
-        """Samples that are occluded are part of the scatter."""
-        return False
-
-    @property
     def lobe_count(self) -> int:
         """Number of samples of the pixels' own rays."""
         return self.grid.directions

@@ -21,8 +21,6 @@ class Accumulators:
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty for points.
         edges: Whether an edge passes through the pixel, as its cells show; all lights share this array.
-        penumbra_errors: Errors of partly occluded lights; empty if no light has several lobes.
-        occluded_power: Power of the last light's lobes that the mesh occludes; empty likewise.
     """
 
     xyz: wp.array
@@ -31,28 +29,18 @@ class Accumulators:
     illuminated: wp.array
     errors: wp.array
     edges: wp.array
-    penumbra_errors: wp.array
-    occluded_power: wp.array
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return the sums of a number of pixels, for means or for points, without parts for penumbrae."""
+        """Return the sums of a number of pixels, for means or for points."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)
 
         return cls(
             zeros(wp.vec3f), zeros(wp.float64), zeros(wp.uint8, pixels * means), zeros(wp.bool),
-            zeros(wp.float32, pixels * means), zeros(wp.bool, pixels * means), zeros(wp.float32, 0),
-            zeros(wp.float32, 0),
+            zeros(wp.float32, pixels * means), zeros(wp.bool, pixels * means),
         )  # fmt: skip
-
-    def with_penumbrae(self) -> Accumulators:
-        """Return these sums with parts for penumbrae."""
-        if len(self.penumbra_errors):
-            return self
-        errors, power = (wp.zeros(len(self.xyz), dtype=wp.float32, device=self.xyz.device) for _ in range(2))
-        return replace(self, penumbra_errors=errors, occluded_power=power)
 
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
         """Return sums of a single light, in arrays of previous ones, that share what belongs to the pixels."""
@@ -64,5 +52,5 @@ class Accumulators:
 
     def clear_errors(self) -> None:
         """Set all errors, edges and levels to zero."""
-        for array in (self.errors, self.coverage_levels, self.edges, self.penumbra_errors):
+        for array in (self.errors, self.coverage_levels, self.edges):
             array.zero_()

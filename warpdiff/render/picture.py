@@ -128,9 +128,6 @@ class Picture:
             light_pass.begin(previous)
         self._parts, self._passes = list(parts), passes
         self.sampler.set_lights(self._passes)
-        several_lobes = any(light_pass.lobe_count > 1 for light_pass in self._passes)
-        if several_lobes and self._means:
-            self._sums = self._sums.with_penumbrae()
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
             # The arrays of one light stay the same, as a recorded graph reads them.
@@ -226,13 +223,11 @@ class Picture:
         """Add what the pixels' own rays see under the lobes of a light."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
-        for lobe in lobes:
+        for at, lobe in enumerate(lobes):
             self.sampler.scatter(0, LobeIndex(light, lobe), sums)
-            calls = light_pass.colour(lobe, batch, lookup)
-            calls += light_pass.penumbra_calls(lobe, batch, sums.occluded_power, sums.penumbra_errors)
             launch_pipeline(
-                calls, self.rays.size, slice_size=_COLOURS_OF_SLICE,
-                progress=subprogress(progress, lobe / len(lobes), (lobe + 1) / len(lobes)), **self.rays.options,
+                light_pass.colour(lobe, batch, lookup), self.rays.size, slice_size=_COLOURS_OF_SLICE,
+                progress=subprogress(progress, at / len(lobes), (at + 1) / len(lobes)), **self.rays.options,
             )  # fmt: skip
 
     def render_directly(self, heightfield: HeightField, plan: Plan, *, progress: Progress) -> None:
@@ -283,7 +278,7 @@ class Picture:
             # The neighbours of the outermost pixels are those of the margin.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
-        parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors), penumbrae=part(sums.penumbra_errors))
+        parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
         # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.

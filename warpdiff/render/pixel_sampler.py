@@ -45,7 +45,7 @@ class PixelSampler:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
-            context.rays.size, means=means, has_materials=context.has_materials, has_skies=False, device=context.device
+            context.rays.size, means=means, has_materials=context.has_materials, is_sampled=False, device=context.device
         )
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
@@ -61,8 +61,11 @@ class PixelSampler:
         """Set the passes of the lights; hits stay valid, and samples do not."""
         self._passes, self._lobe = passes, None
         if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
-            gains = wp.empty((3, self._context.rays.size), dtype=wp.float32, device=self._context.device)
-            self.samples = replace(self.samples, spectral_gains=gains)
+            rays, device = self._context.rays.size, self._context.device
+            self.samples = replace(
+                self.samples, spectral_gains=wp.empty((3, rays), dtype=wp.float32, device=device),
+                towards=wp.empty(rays, dtype=wp.vec3f, device=device),
+            )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
         """Yield the lobes of all passes."""
@@ -105,12 +108,13 @@ class PixelSampler:
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
-        is_first = index == LobeIndex(0, 0)
+        is_first_lobe = index.lobe == light_pass.first_lobes.start
+        is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
         # Each light finds its colours of means by itself; hits count once.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
-            resets=begins or (self._means and index.lobe == 0),
+            resets=begins or (self._means and is_first_lobe),
         )  # fmt: skip
         rays.launch([*calls, *light_pass.scatter(index.lobe, self.batch(sums), counting)])
         self._sample, self._lobe = sample, index

@@ -33,7 +33,7 @@ class BufferKind(NamedTuple):
     needs_sampling: bool
     is_pigmented: bool
     has_materials: bool
-    has_skies: bool
+    is_sampled: bool
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class TileBuffers:
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
             LightSamples.allocate(
-                rays, means=True, has_materials=kind.has_materials, has_skies=kind.has_skies, device=device
+                rays, means=True, has_materials=kind.has_materials, is_sampled=kind.is_sampled, device=device
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
