@@ -7,8 +7,13 @@ import warp as wp
 from warpdiff.kernels import compile_options
 from warpdiff.kernels.light_samples import Lights
 from warpdiff.kernels.sample_sequence import light_point, sample_index
+from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
+
+# Share of the directions that are drawn near that of a mirror, where it is no farther from the disc than so many
+# deviations of the zeroth order.
+MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
 @wp.func
@@ -29,17 +34,20 @@ def on_disc(point: wp.vec2f) -> wp.vec2f:
 @wp.kernel
 def draw_disc(
     # In:
-    lights: Lights, light_index: wp.int32, radius: wp.float32, tiles: wp.array(dtype=wp.int32), width: wp.int32,
-    across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    lights: Lights, light_index: wp.int32, radius: wp.float32, lobe: wp.float32, pixels: Pixels,
+    tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
+    first: wp.int32, run: wp.int32,
     # Out:
-    towards_out: wp.array(dtype=wp.vec3f),
+    towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Draw a direction to a disc light for each ray, even in solid angle.
+    """Draw a direction to a disc light for each ray, even in solid angle, or near the direction of a mirror.
 
     Args:
         lights: The lights; deviations are two vectors orthogonal to the direction to the disc's centre.
         light_index: The light.
         radius: Angular radius that directions lie within [rad].
+        lobe: Standard deviation of the zeroth order in (u, v).
+        pixels: Hits.
         tiles: As for ``sample_index``, like the next ones.
         width: Pixels in a row.
         across: Cells along a side of a pixel.
@@ -47,19 +55,49 @@ def draw_disc(
         samples: Number of samples of each ray.
         first: The first thread's ray.
         run: Number of rays per thread.
-        towards_out: Unit vectors towards the light, world frame.
+        towards_out: Unit vectors towards the light, world frame, and weights, whose mean is 1; 0 beyond the disc.
     """
     place = lights.places[light_index]
     axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
     tangent = wp.normalize(lights.deviations[light_index, 0])
     bitangent = wp.normalize(lights.deviations[light_index, 1])
-    # Of equal areas in the plane are equal solid angles: 1 − cos θ is half the square of the distance.
+    # Equal areas in a plane are equal solid angles: the square of the distance there is 2 (1 − cos θ).
     edge = 2.0 * wp.sin(0.5 * radius)
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        place_on_disc = edge * on_disc(light_point(sample_index(tiles, width, across, i, sample, samples)))
-        square = wp.length_sq(place_on_disc)
-        aside = wp.sqrt(1.0 - 0.25 * square)
-        towards = (1.0 - 0.5 * square) * axis
-        towards += aside * (place_on_disc[0] * tangent + place_on_disc[1] * bitangent)
-        towards_out[i] = wp.normalize(towards)
+        if pixels.hit[i] == 0:
+            towards_out[i] = wp.vec4f(axis[0], axis[1], axis[2], 0.0)
+            continue
+        point = light_point(sample_index(tiles, width, across, i, sample, samples))
+        normal = pixels.normal[i]
+        view = pixels.to_view[i]
+        mirrored = 2.0 * wp.dot(normal, view) * normal - view
+        share = wp.where(wp.length(mirrored - axis) < edge + REACH * lobe, MIRROR_SHARE, 0.0)
+        towards = wp.vec3f()
+        if point[0] < share:
+            # A Gaussian in (u, v), which is across the normal.
+            size = lobe * wp.sqrt(-2.0 * wp.log(1.0 - point[0] / share))
+            angle = wp.static(2.0 * math.pi) * point[1]
+            across_normal = mirrored - wp.dot(mirrored, normal) * normal
+            across_normal += size * (wp.cos(angle) * pixels.tangent[i] + wp.sin(angle) * pixels.bitangent[i])
+            up = wp.sqrt(wp.max(1.0 - wp.length_sq(across_normal), 0.0))
+            towards = wp.normalize(across_normal + up * normal)
+        else:
+            place_on_disc = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
+            square = wp.length_sq(place_on_disc)
+            towards = (1.0 - 0.5 * square) * axis
+            aside = wp.sqrt(1.0 - 0.25 * square)
+            towards += aside * (place_on_disc[0] * tangent + place_on_disc[1] * bitangent)
+            towards = wp.normalize(towards)
+        weight = wp.float32(1.0)
+        if share > 0.0:
+            away = towards - mirrored
+            away -= wp.dot(away, normal) * normal
+            # Densities per area of the plane; those of (u, v) are per cosine.
+            of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (lobe * lobe)) * wp.dot(towards, normal)
+            of_mirror *= wp.static(0.5 / math.pi) / (lobe * lobe)
+            even = wp.static(1.0 / math.pi) / (edge * edge)
+            weight = even / (share * of_mirror + (1.0 - share) * even)
+            if wp.length_sq(towards - axis) > edge * edge:
+                weight = wp.float32(0.0)
+        towards_out[i] = wp.vec4f(towards[0], towards[1], towards[2], weight)

@@ -44,7 +44,7 @@ class Reflection:
     "illuminated_out);"
 )
 def scattering_vectors_run(
-    pixels: Pixels, place: wp.vec4d, towards: wp.array(dtype=wp.vec3f), reflection: Reflection, scale: wp.float64,
+    pixels: Pixels, place: wp.vec4d, towards: wp.array(dtype=wp.vec4f), reflection: Reflection, scale: wp.float64,
     counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool), begin: wp.int32,
     end: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
@@ -74,7 +74,7 @@ def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32
 @wp.kernel
 def scattering_vectors(
     # In:
-    pixels: Pixels, lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec3f), reflection: Reflection,
+    pixels: Pixels, lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), reflection: Reflection,
     weight: wp.float64, counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool),
     first: wp.int32, run: wp.int32,
     # Out:
@@ -88,7 +88,7 @@ def scattering_vectors(
     added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked
     as lit, from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these.
     ``occluded`` says which pixels the light does not reach; empty is none. ``towards`` are directions to the light that
-    pixels have of their own; empty is that of the light.
+    pixels have of their own, and weights; empty is that of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -113,6 +113,8 @@ def scattering_vectors(
             base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
             falloff = wp.float64(cos_i)
+            if towards.shape[0] > 0:
+                falloff *= wp.float64(towards[i][3])
             if place[3] != wp.float64(0.0):
                 falloff = falloff / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
             xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * falloff * colour)
@@ -211,7 +213,7 @@ def add_light_rotation(
 @wp.kernel
 def add_light_extent(
     # In:
-    lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec3f), extent: wp.float32, pixels: Pixels,
+    lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), extent: wp.float32, pixels: Pixels,
     first: wp.int32, run: wp.int32,
     # Out:
     footprints_out: wp.array(dtype=Footprint),
@@ -239,8 +241,9 @@ def add_light_extent(
             xy += x * y
             yy += y * y
         if towards.shape[0] > 0:
-            x = extent * wp.dot(towards[i], pixels.tangent[i])
-            y = extent * wp.dot(towards[i], pixels.bitangent[i])
+            direction = wp.vec3f(towards[i][0], towards[i][1], towards[i][2])
+            x = extent * wp.dot(direction, pixels.tangent[i])
+            y = extent * wp.dot(direction, pixels.bitangent[i])
             xx -= x * x
             xy -= x * y
             yy -= y * y

@@ -163,7 +163,7 @@ def look_up(
 @wp.kernel
 def trace_shadow_rays(
     # In:
-    grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec3f),
+    grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec4f),
     pixels: Pixels, first: wp.int32, run: wp.int32,
     # Out:
     occluded_out: wp.array(dtype=wp.bool),
@@ -171,7 +171,7 @@ def trace_shadow_rays(
     """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
 
     ``grid`` is that of the same light, and has no lists for one at a place. ``directions`` are those to the light that
-    pixels have of their own; empty is that of the light.
+    pixels have of their own, and weights; empty is that of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
@@ -187,7 +187,7 @@ def trace_shadow_rays(
         along = towards
         far = FAR
         if directions.shape[0] > 0:
-            along = directions[ray]
+            along = wp.vec3f(directions[ray][0], directions[ray][1], directions[ray][2])
         if at_place:
             along = towards - origin
             far = wp.min(FAR, wp.length(along))

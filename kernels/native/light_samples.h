@@ -40,7 +40,7 @@ struct LightPlace {
 template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // tangent, bitangent and normal, by axis; where light arrives
-    Batch<N> towards[3];                         // to the light, if each pixel has a direction of its own
+    Batch<N> towards[4];                         // to the light, if each pixel has a direction of its own, and a weight
     Batch<N, double> light[3], uvw[3];           // to the light, and the sum of both directions, in that frame
     Batch<N> gain;
 
@@ -58,8 +58,8 @@ struct ScatteringBatch {
                 for (int axis = 0; axis < 3; ++axis) frame[axis][c][i] = frames[axis][at + c];
                 to_view[c][i] = views[at + c];
                 origin[c][i] = is_at_a_place ? origins[at + c] : 0.0f;
-                towards[c][i] = directions ? directions[at + c] : 0.0f;
             }
+            for (int c = 0; c < 4; ++c) towards[c][i] = directions ? directions[at / 3 * 4 + c] : 0.0f;
         }
     }
 };
@@ -90,9 +90,11 @@ WARPDIFF_INLINE void scatter(
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
-        const double strength = scale * light.from(origin, towards);
-        if (has_directions)
+        double strength = scale * light.from(origin, towards);
+        if (has_directions) {
             for (int c = 0; c < 3; ++c) towards[c] = batch.towards[c][i];
+            strength *= batch.towards[3][i];
+        }
         for (int axis = 0; axis < 3; ++axis) {
             const double x = batch.frame[axis][0][i], y = batch.frame[axis][1][i], z = batch.frame[axis][2][i];
             to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;

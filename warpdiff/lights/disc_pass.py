@@ -11,6 +11,7 @@ from warpdiff.kernels.refinement_levels import FILTER_SIGMA, rays_at
 from warpdiff.lights.base import DISC_SAMPLES, LobeSet
 from warpdiff.lights.lobe_pass import LobePass
 from warpdiff.scene.occluder_grid import no_grid
+from warpdiff.tables import polar_grid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # Deviation of a sample's directions over the disc's radius and the root of the number of samples of a pixel, and at
 # most: a disc has half of its radius.
-_DEVIATION, _MOST_DEVIATION = 0.7, 0.5
+_DEVIATION, _MOST_DEVIATION = 1.0, 0.5
 
 
 class DiscPass(LobePass):
@@ -37,6 +38,7 @@ class DiscPass(LobePass):
     def __init__(self, part: DiscPart, context: PassContext) -> None:
         super().__init__(LobeSet((part.lobe,)), context)
         self.radius = part.radius
+        self._lobe = polar_grid.blur(context.optics.coherence) * polar_grid.MIDDLE_UM
         self.illuminated = (DISC_SAMPLES + 1) * self.illuminated
 
     @property
@@ -69,8 +71,12 @@ class DiscPass(LobePass):
             return super().scatter(0, batch, counting)
         samples = 1 if batch.level else DISC_SAMPLES
         # Together with the samples' own deviations, directions have the variance of the disc.
-        radius = math.sqrt(max(self.radius**2 - 4.0 * self._deviation(batch) ** 2, 0.0))
-        inputs = [self._lights, 0, radius, batch.tiles, self.context.rays.width, 1 << batch.level, lobe, samples]
+        deviation, pixels = self._deviation(batch), batch.gbuffer.pixels
+        radius = math.sqrt(max(self.radius**2 - 4.0 * deviation**2, 0.0))
+        inputs = [
+            self._lights, 0, radius, math.hypot(self._lobe, deviation), pixels, batch.tiles, self.context.rays.width,
+            1 << batch.level, lobe, samples,
+        ]  # fmt: skip
         draw = KernelCall(disc_samples.draw_disc, inputs, [batch.samples.towards], in_runs=True)
         return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
 

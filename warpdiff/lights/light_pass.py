@@ -127,7 +127,8 @@ class LightSamples:
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits.
         spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) without sampled lights.
-        towards: Directions to the light that rays have of their own, world frame, (n,) of ``wp.vec3f``; likewise.
+        towards: Directions to the light that rays have of their own, world frame, and their weights, (n,) of
+            ``wp.vec4f``; likewise.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
         material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
     """
@@ -153,7 +154,7 @@ class LightSamples:
         return cls(
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
             wp.empty((3 * is_sampled, rays * is_sampled), dtype=wp.float32, device=device),
-            empty(wp.vec3f, rays * is_sampled),
+            empty(wp.vec4f, rays * is_sampled),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 

@@ -39,7 +39,7 @@ class LobePass(LightPass):
         self.part = part
         self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
         self._grids: list[Any] = []
-        self._no_directions = wp.empty(0, dtype=wp.vec3f, device=context.device)
+        self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into the arrays of a pass of as many lobes, or into new ones."""

@@ -64,7 +64,7 @@ class PixelSampler:
             rays, device = self._context.rays.size, self._context.device
             self.samples = replace(
                 self.samples, spectral_gains=wp.empty((3, rays), dtype=wp.float32, device=device),
-                towards=wp.empty(rays, dtype=wp.vec3f, device=device),
+                towards=wp.empty(rays, dtype=wp.vec4f, device=device),
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
