@@ -13,7 +13,7 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import Light
+from warpdiff.lights.base import Light, LobeSet
 from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
@@ -275,11 +275,17 @@ def listed(lights: Any) -> list[Any]:
 
 
 def parts_of(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
-    """Return the parts of lights, which are checked; without refinement a disc is a single lobe where possible."""
+    """Return the parts of lights, which are checked; without refinement a disc is a single lobe where possible.
+
+    The lobes of all lights are one part, whose pixels are refined together: as errors of lights have the same causes,
+    those of lights that are refined one by one would add up.
+    """
     tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
     result: list[LightPart] = []
     for index, light in enumerate(lights):
         name = f"lights[{index}]"
         validation.instance(light, Light, name)
         result += light.parts(evaluation.coherence, tolerance=tolerance, single_lobe=not refine, name=name)
-    return result
+    lobes = [lobe for part in result if type(part) is LobeSet for lobe in part.lobes]
+    others = [part for part in result if type(part) is not LobeSet]
+    return [LobeSet(tuple(lobes)), *others] if lobes else others
