@@ -21,6 +21,7 @@ from warpdiff.lights.sky_maps import SkyMaps, Sun, blurred_grids, extract_suns, 
 from warpdiff.optics import colorimetry
 from warpdiff.optics.colorimetry import VISIBLE_NM
 from warpdiff.optics.spectra import Spectrum, colour_science
+from warpdiff.request.signatures import checked
 from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
@@ -138,8 +139,10 @@ class Environment(Checked, Light):
             return cls(np.asarray(samples), rotation_deg=rotation_deg, scale=scale, directions=directions)
 
     @classmethod
+    @checked
     def clear_sky(
-        cls, sun_direction: ArrayLike, *, sun: float = 1.0, ground_albedo: float = 0.2, scale: float = 1.0,
+        cls, sun_direction: ArrayLike, *, sun: Annotated[float, Interval(ge=0.0, le=_MOST_SUN)] = 1.0,
+        ground_albedo: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2, scale: float = 1.0,
         directions: int | None = None,
     ) -> Environment:  # fmt: skip
         """Make a clear sky with a sun of 0.53° in diameter over diffuse ground, from formulas, without a file.
@@ -157,8 +160,8 @@ class Environment(Checked, Light):
 
         Args:
             sun_direction: Direction towards the sun, above the horizon, +y up, shape (3,); it is normalised.
-            sun: Linear factor of the sun, 0 to 1e3; 0 is a sky without one.
-            ground_albedo: Share of the sky's and the sun's light that the ground reflects, 0 to 1.
+            sun: Linear factor of the sun; 0 is a sky without one.
+            ground_albedo: Share of the sky's and the sun's light that the ground reflects.
             scale: Linear factor of the radiance, 0 to 1e9.
             directions: Largest number of directions that a pixel's colour is summed over, 16 to 32768; None is 820 over
                 the picture's tolerance, at most 32,768.
@@ -172,9 +175,7 @@ class Environment(Checked, Light):
             raise ArgumentValueError(
                 f"{ref('sun_direction')} must be above the horizon, with a y above 0, got {(x, y, z)}; raise the sun"
             )
-        factor = validation.number(sun, "sun", least=0.0, most=_MOST_SUN)
-        albedo = validation.number(ground_albedo, "ground_albedo", least=0.0, most=1.0)
-        radiance = clear_sky_radiance(math.atan2(y, math.hypot(x, z)), factor, albedo)
+        radiance = clear_sky_radiance(math.atan2(y, math.hypot(x, z)), sun, ground_albedo)
         turn = math.remainder(SUN_AZIMUTH - math.atan2(x, -z), 2.0 * math.pi)
         return cls(radiance, rotation_deg=math.degrees(turn), scale=scale, directions=directions)
 
