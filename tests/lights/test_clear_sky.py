@@ -46,6 +46,8 @@ def test_luminances_and_illuminances_of_the_sky_are_the_cie_s(altitude):
     assert (luminance[:256].sum(axis=1) * np.cos(polar[:256])) @ solid == pytest.approx(math.pi)
     assert np.allclose(luminance[256:], 0.3)
     assert not wd.Environment.clear_sky(to_sun, sun=0.0, ground_albedo=0.0).radiance_rgb[256:].any()
+    around = wd.Environment.clear_sky((-to_sun[2], up, to_sun[0] + 1e-8), sun=0.0, ground_albedo=0.3)
+    assert np.array_equal(around.radiance_rgb, sky.radiance_rgb)
 
 
 @pytest.mark.parametrize("altitude", [10.0, 44.93, 45.1, 80.0, 89.9])
@@ -64,6 +66,11 @@ def test_the_sun_is_found_with_its_power_its_width_and_its_place(altitude):
     # The ground has its light.
     ground = sky.radiance_rgb[300, 0] @ LUMINANCE
     assert ground == pytest.approx(0.2 * (1.0 + 2.0 * ratio * up), rel=1e-5)
+
+
+def test_a_sun_at_the_horizon_has_faded():
+    with_sun, without = (wd.Environment.clear_sky((1.0, 1e-300, 0.0), sun=sun) for sun in (1.0, 0.0))
+    assert np.array_equal(with_sun.radiance_rgb, without.radiance_rgb)
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,9 @@ class Environment(Checked, Light):
             raise ArgumentValueError(
                 f"{ref('sun_direction')} must be above the horizon, with a y above 0, got {(x, y, z)}; raise the sun"
             )
-        radiance = clear_sky_radiance(math.atan2(y, math.hypot(x, z)), sun, ground_albedo)
+        # Rounded, so that suns that differ in azimuth alone have one spectrum, and its tables.
+        altitude = max(round(math.atan2(y, math.hypot(x, z)), 6), 1e-6)
+        radiance = clear_sky_radiance(altitude, sun, ground_albedo)
         turn = math.remainder(SUN_AZIMUTH - math.atan2(x, -z), 2.0 * math.pi)
         return cls(radiance, rotation_deg=math.degrees(turn), scale=scale, directions=directions)
 
