@@ -50,7 +50,7 @@ def test_luminances_and_illuminances_of_the_sky_are_the_cie_s(altitude):
     assert np.array_equal(around.radiance_rgb, sky.radiance_rgb)
 
 
-@pytest.mark.parametrize("altitude", [10.0, 44.93, 45.1, 80.0, 89.9])
+@pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
 def test_the_sun_is_found_with_its_power_its_width_and_its_place(altitude):
     """The width is that of a disc of 0.53°, 3 % of which are the sky's own glow; pixels are 0.35° wide."""
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))

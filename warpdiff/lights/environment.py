@@ -154,8 +154,9 @@ class Environment(Checked, Light):
         45°, 0.5 times at 3°. The luminance of its disc is 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
         the result::
 
-            sky = wd.Environment.clear_sky((1.0, 0.8, 0.3))
-            image = wd.shade(wd.meshes.snake(), wd.gratings.fingers(), sky, view, tolerance=1e-1)
+            body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 0.8, 0.3))
+            view = wd.View.fit(body, width=480, height=260)
+            image = wd.shade(body, wd.gratings.fingers(), sky, view, ior=math.inf, refine=False)
             image.save("outdoors.png", background=sky.background(view))
 
         Args:

@@ -14,7 +14,7 @@ VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def lobes():
-    return wd.bake(wd.gratings.sinusoidal(1.0, 0.1), coherence=wd.Coherence(sigma_um=1.0), delta_e=10.0)
+    return wd.bake(wd.gratings.sinusoidal(1.0, 0.1), coherence=wd.Coherence(sigma_um=0.6), delta_e=20.0)
 
 
 def lights_of(path):

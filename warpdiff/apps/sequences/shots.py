@@ -61,8 +61,8 @@ def turntable(
 
     :meth:`warpdiff.View.fit` makes a view that holds the body in all frames::
 
-        view = wd.View.fit(body, width=480, height=260)
-        shots = wd.turntable([wd.Environment.clear_sky((1.0, 1.0, 0.5)), wd.PointLight((0.0, 2.0, 1.0))], view)
+        body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 1.0, 0.5))
+        shots = wd.turntable([sky, wd.PointLight((0.0, 2.0, 1.0))], wd.View.fit(body, width=480, height=260))
 
     Args:
         lights: Light of the first frame, or several: directional lights and discs, point lights, environments.
@@ -102,7 +102,8 @@ def light_sweep(
     Directional lights and discs change their direction. Point lights move about the view's target, at their distance
     from it. Environments rotate about +y. Several lights move together, as if they were fixed to each other::
 
-        shots = wd.light_sweep(wd.PointLight((0.0, 2.0, 1.0)), view, (1.0, 1.0, 0.0))  # an eighth of a circle
+        view = wd.View.fit(wd.meshes.snake(), width=480, height=260)
+        shots = wd.light_sweep(wd.PointLight((0.0, 2.0, 1.0)), view, (1.0, 1.0, 0.0))  # along a great circle
         shots = wd.light_sweep(wd.Environment.clear_sky((1.0, 1.0, 0.5)), view, turns=1.0)  # the sun goes around
 
     Args:

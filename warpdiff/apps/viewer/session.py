@@ -392,8 +392,7 @@ class Studio:
 
         def make() -> wd.Environment:
             options = dict(sky.options)
-            shared = [name for name in _SKY_SETTINGS if name in options]
-            settings = {name: options.pop(name) for name in shared}
+            settings = {name: options.pop(name) for name in _SKY_SETTINGS if name in options}
             bare = dataclasses.replace(sky, options=tuple(options.items()))
             made: wd.Environment = self._caches.environments.get_or_make(str(bare), bare.make)
             return with_settings(made, **{name: getattr(made, name) for name in _SKY_SETTINGS} | settings)
