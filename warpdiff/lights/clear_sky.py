@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 ROWS = 512
 # Azimuth of the image's sun from −z towards +x [rad]: the middle of a column.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
-# Standard CIE general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
-# a and b of the gradation, c, d and e of the indicatrix. It is the traditional clear sky of the CIE (Kittler 1967).
+# CIE standard general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
+# a and b of the gradation, c, d and e of the indicatrix. It is the older clear sky of the CIE but for rounding.
 _A, _B, _C, _D, _E = -1.0, -0.32, 10.0, -3.0, 0.45
 # Illuminances for an altitude h of the sun [klx]: 127.5 exp(−0.21 / sin h) of the sun, normal to its direction, and
 # 0.8 + 15.5 √sin h of the clear sky on the horizontal (IES, Recommended Practice for the Calculation of Daylight
@@ -70,8 +70,9 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
 def relative_luminance(along: NDArray[np.float64], to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the luminance of the sky in directions above the horizon, relative to that of the zenith.
 
-    It is f(χ) φ(Z) / (f(Zs) φ(0)) by CIE S 011/E:2003, equations 1 to 6, where Z is the direction's angle to the
-    zenith, χ that to the sun, and Zs the sun's to the zenith; y is up.
+    By CIE S 011/E:2003 it is f(χ) φ(Z) / (f(Zs) φ(0)), with the gradation φ(Z) = 1 + a exp(b / cos Z) and the
+    indicatrix f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the zenith, χ its angle to
+    the sun, and Zs the sun's angle to the zenith; y is up.
 
     Args:
         along: Unit vectors, shape (..., 3).
@@ -98,9 +99,9 @@ def illuminance_ratio(sun_altitude: float) -> float:
 def _shares_of_sun(
     along: NDArray[np.float64], solid: NDArray[np.float64], towards: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the shares of the sun's power in pixels: their middle is the sun's, and their variance that of its disc.
+    """Return the shares of the sun's power in pixels, with the mean direction of the sun and the variance of its disc.
 
-    Pixels are wider than half the disc, which shares by area would make a fourth wider. Of all shares with these
+    Shares by area would make the sun 26 % wider, as pixels are wider than half the disc. Of all shares with these
     moments, those of largest entropy are s exp(θ·x), with solid angles s and moments x; θ minimises a convex function.
     """
     from scipy.optimize import minimize
@@ -120,15 +121,15 @@ def _shares_of_sun(
         of_pixels, mean = shares(theta)[0], means(theta)
         return np.asarray((of_pixels[:, None] * moments).T @ moments - np.outer(mean, mean))
 
-    found = minimize(
+    solution = minimize(
         lambda theta: shares(theta)[1], [0.0, 0.0, -0.5], jac=means, hess=covariance, method="trust-exact",
         options={"gtol": 1e-9},
     )  # fmt: skip
-    return shares(found.x)[0]
+    return shares(solution.x)[0]
 
 
 def _daylight(temperature_k: float) -> NDArray[np.float64]:
-    """Return the linear sRGB of CIE daylight of a luminance of 1 (CIE 15:2004, equations 3.2 to 3.4)."""
+    """Return the linear sRGB of a luminance of 1 of CIE illuminant D at a colour temperature (CIE 15:2004, 3.1)."""
     t = 1e3 / temperature_k
     if temperature_k <= 7_000.0:
         x = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3

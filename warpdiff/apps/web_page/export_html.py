@@ -136,13 +136,15 @@ def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | Poi
             f"{ref('lights')} must be a DirectionalLight or a PointLight, or a sequence of 1 to {_MOST_LIGHTS} of "
             f"them, got {lights!r:.60}"
         )
-    most = ONE_LOBE_DEG if lobes.coherence.kind == "averaged" else 0.0
+    most, remedy = ONE_LOBE_DEG, "several lights for a wide disc, or lobes of a source"
+    if lobes.coherence.kind != "averaged":
+        most, remedy = 0.0, "points instead of discs, as the lobes' source has a diameter"
     refused: dict[str, str] = {}
     for index, light in enumerate(result):
         validation.instance(light, Light, f"lights[{index}]")
         name = ref(f"lights[{index}]")
         if type(light) is DirectionalLight and light.angular_diameter_deg > most:
-            refused[f"{name} ({light.angular_diameter_deg:g}°)"] = "several lights for a wide disc, or bake a source"
+            refused[f"{name} ({light.angular_diameter_deg:g}°)"] = remedy
         elif isinstance(light, Environment):
             refused[f"{name} (Environment)"] = "a DirectionalLight for a sky's sun, or render a sequence under the sky"
         elif type(light) not in (DirectionalLight, PointLight):
