@@ -49,8 +49,8 @@ def test_other_lights_are_refused_in_one_message_that_names_them(lobes, square, 
     names, remedies = str(caught.value).partition(" got ")[2].split("; use ")
     assert names == "lights[1] (10°), lights[2] (Environment), lights[3] (Environment), lights[4] (Spotlight)"
     assert remedies == (
-        "several lights for a wide disc, or lobes of a source; a DirectionalLight for a sky's sun, or render a sequence "
-        "under the sky; a PointLight or a DirectionalLight for other kinds"
+        "several lights for a wide disc, or lobes of a source; a DirectionalLight for a sky's sun, or render a "
+        "sequence under the sky; a PointLight or a DirectionalLight for other kinds"
     )
     with pytest.raises(ValueError, match=r"got lights\[0\] \(Environment\); use a DirectionalLight for a sky's sun"):
         wd.export_html(tmp_path / "page.html", square, lobes, sky, VIEW)
