@@ -5,6 +5,7 @@ Workers (https://distributed.dask.org) may join or leave.
 
 from __future__ import annotations
 
+import copy
 import functools
 import pickle
 import tempfile
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core.caching import LruCache
-from warpdiff.lights.environment import Environment, with_settings
+from warpdiff.lights.environment import Environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -65,11 +66,10 @@ class FrameRenderer:
         return self.renderer.image()
 
     def _transient(self, light: Light) -> Light:
-        """Return a light that nobody else holds: the arrays of a sky would stay with its shot, 14 MB a frame."""
+        """Return a light that no shot holds: the arrays of a sky, 14 MB, would stay with its shot."""
         if not isinstance(light, Environment):
             return light
-        make = functools.partial(with_settings, light, light.rotation_deg, light.scale, light.directions)
-        return self._skies.get_or_make(light, make)
+        return self._skies.get_or_make(light, functools.partial(copy.copy, light))
 
 
 def draw_frame(
