@@ -279,6 +279,7 @@ LINES = {
     "render … --background 1 x 0": "--background must be a number, got 'x'",
     "brdf --heightfield cd -o a.exr --background 0 0 0": "--background is for .png files, got --output a.exr",
     "render … --environment-behind": "--environment-behind requires --environment",
+    "sequence … --light-to 0 0 1 --lights-turn": "--lights-turn is for --turns, not for --light-to: give one of them",
     "render … --environment-scale 2": "--environment-scale requires --environment",
     "render … --environment sky.exr --environment-behind --background 0 0 0": "--environment-behind and --background b",
     "render disc --heightfield cd -o a.exr --environment sky.exr --environment-behind": "--environment-behind is for .",

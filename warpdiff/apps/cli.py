@@ -163,7 +163,7 @@ def _add_sequence(flags: Flags) -> None:
     )  # fmt: skip
     group.add_argument("--count", type=integer, help="number of frames (default: 36, or the rows of --path)")
     kind = group.add_mutually_exclusive_group()
-    kind.add_argument("--turns", type=number, default=1.0, help="turns of the body about its target (default: 1)")
+    kind.add_argument("--turns", type=number, default=1.0, help="turns of the body or the lights (default: 1)")
     kind.add_argument(
         "--light-to", type=number, nargs=3, metavar=("X", "Y", "Z"),
         help="direction of the first light in the last frame; all lights move together, see warpdiff.light_sweep",

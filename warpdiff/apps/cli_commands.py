@@ -76,6 +76,10 @@ def sequence(options: argparse.Namespace) -> None:
     """Render the frames of a sequence."""
     if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
         raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
+    if options.lights_turn and (options.path or options.light_to):
+        raise ArgumentValueError(
+            f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
+        )
     saving = given(options, describe(wd.sequence))
     environment = cli_inputs.environment_of(options)
     mesh, heightfield, view = cli_inputs.scene_of(options)
