@@ -128,7 +128,7 @@ def _views():
 def _shots():
     for view in (VIEW, dataclasses.replace(VIEW, width=5), dataclasses.replace(VIEW, eye=(0.0, 0.0, 1e14))):
         yield wd.Shot((LIGHT,), view)
-    yield wd.Shot((LIGHT,) * 3, VIEW)
+    yield wd.Shot((LIGHT, wd.PointLight((0.0, 1.0, 2.0)), LIGHT), VIEW)
     yield wd.Shot((dataclasses.replace(LIGHT, power=0.0),), VIEW)
 
 
@@ -203,7 +203,7 @@ OBJECTS = {
     **dict.fromkeys(("material", "film"), _one_of(_materials)),
     **dict.fromkeys(("path", "folder", "animation"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
-    **dict.fromkeys(("eye", "target", "up", "direction", "tangents", "background"), _VECTORS),
+    **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
     **dict.fromkeys(("n", "k", "values", "radiance_rgb"), _VECTORS),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
@@ -275,7 +275,7 @@ LEGAL = {
     "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,
     "segments_along": 12, "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
     "scattering_vectors": [[0.1, 0.2, -1.5]], "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
-    "position": (0.0, 0.0, 2.0), "delta_e": 10.0, "n": 1.5, "angle_deg": 30.0,
+    "position": (0.0, 0.0, 2.0), "delta_e": 10.0, "n": 1.5, "angle_deg": 30.0, "sun_direction": (1.0, 1.0, 0.0),
 }  # fmt: skip
 LEGAL_OF = {
     "gratings.fingers": {"size_um": 6.4}, "HeightField.cropped": {"size_um": 0.5}, "Image.save": {"path": "a.png"},

@@ -1,5 +1,6 @@
 """The command line, run as a user would: exit codes, files, messages, progress."""
 
+import argparse
 import functools
 import os
 import subprocess
@@ -88,6 +89,44 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
     assert run(line, *command, "--lights-stay") == 2
     assert "another sequence" in capsys.readouterr().err
     assert run(line, *command, "--light-to", 0, 1, 1, "--overwrite") == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [(["--lights-turn", "--turns", 0.5], lambda lights, view: wd.light_sweep(lights, view, turns=0.5, count=4)),
+     (["--lights-stay"], lambda lights, view: wd.turntable(lights, view, count=4, lights_follow=False)),
+     (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
+)  # fmt: skip
+def test_sequences_take_every_kind_of_light(words, expected, monkeypatch, capsys):
+    """Their shots are those of the library's functions."""
+    drawn = []
+    monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
+    monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])
+    line = "sequence disc --heightfield blazed --count 4 -o turn --light point:position=0x2x1,power=3"
+    line += " --light directional:to_light=0x1x0,angular_diameter_deg=4"
+    sky = ["--environment", "clear-sky:sun_direction=0.0x1.0x1.0,ground_albedo=0.5", "--environment-scale", 2]
+    lights = [wd.PointLight((0, 2, 1), power=3.0), wd.DirectionalLight((0, 1, 0), angular_diameter_deg=4.0)]
+    if "--light-to" not in words:
+        line += " " + " ".join(map(str, sky))
+        lights.append(wd.Environment.clear_sky((0, 1, 1), ground_albedo=0.5, scale=2.0))
+    assert run(line, *words) == 0
+    shots = expected(lights, wd.View.fit(wd.meshes.disc()))
+    assert len(drawn) == 4
+    for shot, same in zip(drawn, shots, strict=True):
+        assert shot.view == same.view
+        assert shot.lights[:2] == same.lights[:2]
+        assert list(map(repr, shot.lights)) == list(map(repr, same.lights))
+        for light, other in zip(shot.lights[2:], same.lights[2:], strict=True):
+            assert np.array_equal(light.radiance_rgb, other.radiance_rgb)
+            assert (light.rotation_deg, light.scale) == (other.rotation_deg, 2.0)
+    for wrong, message in (
+        ("clear-sky:sun_direction=0x-1x0", "sun_direction must be above the horizon"),
+        ("clear-sky:sun=x", "sun must be a number"),
+        ("clear-sky:height=3", "its parameters are sun_direction, sun, ground_albedo, scale, directions"),
+        ("clear-sky --environment-rotation-deg 3", "--environment-rotation-deg is for files, got clear-sky: give its"),
+    ):
+        assert run(f"sequence disc --heightfield blazed -o turn --environment {wrong}") == 2
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

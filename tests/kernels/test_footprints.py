@@ -264,7 +264,7 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
         surface = prepare_surface(coarse, tangents=oblique)
     optics = SurfaceOptics(SHORT, 1.0, 0.04, shadows=False)
     picture = Picture(surface, camera, optics, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
-    (part,) = LIGHT.parts(SHORT, tolerance=1e-1, single_lobe=True, name="light")
+    (part,) = LIGHT.parts(SHORT, single_lobe=True, name="light")
     picture.set_lights([part])
     sums = Accumulators.allocate(48 * 36, means=True, device=wp.get_device("cpu"))
     picture.sampler.scatter(0, LobeIndex(0, 0), sums)

@@ -301,12 +301,12 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_
 def test_an_environment_keeps_few_parts_and_its_copies_none():
     sky = wd.Environment(0.5 + 0.5 * middles(16)[0], directions=16)
 
-    def parts(environment, sigma_um, tolerance=1e-1):
+    def parts(environment, sigma_um):
         coherence = wd.Coherence(sigma_um=sigma_um)
-        return environment.parts(coherence, tolerance=tolerance, single_lobe=False, name="lights[0]")
+        return environment.parts(coherence, single_lobe=False, name="lights[0]")
 
     first = parts(sky, 8.0)
-    assert parts(sky, 8.0, 1e-2) is first
+    assert parts(sky, 8.0) is first
     others = [parts(sky, sigma_um) for sigma_um in (4.0, 5.0, 6.0, 7.0)]
     assert len({id(each[0].grid) for each in others} | {id(first[0].grid)}) == 5
     assert parts(sky, 7.0) is others[-1]

@@ -174,6 +174,8 @@ def command_line_rows() -> Iterator[Row]:
 
 # Arguments of a picture, in the lines below.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
+SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
+Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
 
 
 def shade(heightfield: wd.HeightField = fuzz.HEIGHTFIELD, **options: object) -> wd.Image:
@@ -234,8 +236,10 @@ RULES = [
      "sequence … --path a.npy", "--path: 'a.npy' is not a CSV file: "),
     (lambda: wd.camera_path("no.csv", fuzz.LIGHT, fuzz.VIEW), "path: there is no file 'no.csv'",
      "sequence … --path no.csv", "--path: there is no file 'no.csv'"),
-    (lambda: wd.turntable(wd.PointLight((0, 3, 0)), fuzz.VIEW), "lights must be a DirectionalLight, or a non-empty ",
-     "sequence … --light point:position=0x3x0", "--light must be a warpdiff.DirectionalLight, got Poi"),
+    (lambda: wd.light_sweep(SKY, fuzz.VIEW, (0, 0, 1)), "lights[0] must be a DirectionalLight or a PointLight",
+     "sequence … --environment clear-sky --light-to 0 0 1", "--light must be a DirectionalLight or a PointLight"),
+    (lambda: wd.turntable(SKY, Z_UP), "lights[0] is an Environment, which rotates about +y only, got a rotation ",
+     "sequence … --environment clear-sky --up 0 0 1", "--light is an Environment, which rotates about +y only, got "),
     (lambda: wd.reflectance_map(fuzz.HEIGHTFIELD, (1, 0, 0)), "to_light must lie above the horizon (z > 0)",
      "brdf --heightfield cd -o a.png --incidence-deg 95", "--incidence-deg must be more than -90 and less than 90"),
     (lambda: wd.reflectance_map(fuzz.HEIGHTFIELD, fuzz.UP, samples_per_pixel=3), "samples_per_pixel must be a square",
@@ -275,6 +279,7 @@ LINES = {
     "render … --background 1 x 0": "--background must be a number, got 'x'",
     "brdf --heightfield cd -o a.exr --background 0 0 0": "--background is for .png files, got --output a.exr",
     "render … --environment-behind": "--environment-behind requires --environment",
+    "sequence … --light-to 0 0 1 --lights-turn": "--lights-turn is for --turns, not for --light-to: give one of them",
     "render … --environment-scale 2": "--environment-scale requires --environment",
     "render … --environment sky.exr --environment-behind --background 0 0 0": "--environment-behind and --background b",
     "render disc --heightfield cd -o a.exr --environment sky.exr --environment-behind": "--environment-behind is for .",

@@ -106,9 +106,13 @@ def test_a_view_frames_a_mesh(direction, size, tmp_path):
 
 def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     box = trimesh.creation.box()
-    centre, moved = View.fit(box), View.fit(box, target=(1, 2, 3))
-    np.testing.assert_allclose(np.subtract(moved.eye, centre.eye), (1, 2, 3), atol=1e-12)
-    assert moved.target == (1.0, 2.0, 3.0)
+    centre, moved = View.fit(box), View.fit(box, target=(0.3, 0.2, -0.1))
+    assert moved.target == (0.3, 0.2, -0.1)
+    np.testing.assert_allclose(moved.frame().back, centre.frame().back, atol=1e-12)
+    # A turn about the target leaves no corner out of any picture.
+    for angle in np.linspace(0.0, 2.0 * math.pi, 24):
+        turned = trimesh.transformations.rotation_matrix(angle, (0, 1, 0), moved.target)
+        assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0
     view = View.fit(box, up=(0, 0, 2))
     np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
     # Faces' colours and textures are of no account, damaged ones included.

@@ -136,17 +136,26 @@ def _add_demo(flags: Flags) -> None:
 def _add_render(flags: Flags) -> None:
     _add_picture(flags, SinglePictureSettings)
     _add_output(flags)
+    group = _add_environment(flags)
+    group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
+
+
+def _add_environment(flags: Flags) -> Any:
+    """Add the flags of an environment, and return their group."""
     group = flags.group("environment")
     group.add_argument(
-        "--environment", metavar="FILE", help="sky or room, EXR or HDR in latitude and longitude, linear sRGB"
-    )
+        "--environment", metavar="SKY",
+        help="sky or room: an EXR or HDR file in latitude and longitude, linear sRGB, or clear-sky, with parameters of "
+        "warpdiff.Environment.clear_sky as in clear-sky:sun_direction=1x1x0.5,ground_albedo=0.1",
+    )  # fmt: skip
     loading = describe(wd.Environment.load)
     flags.add(group, loading, only=loading.keys() - {"path"}, prefix="environment-")
-    group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
+    return group
 
 
 def _add_sequence(flags: Flags) -> None:
     _add_picture(flags, PictureSettings)
+    _add_environment(flags)
     group = flags.group("frames")
     group.add_argument(
         "-o", "--output", required=True, metavar="FOLDER",
@@ -154,13 +163,18 @@ def _add_sequence(flags: Flags) -> None:
     )  # fmt: skip
     group.add_argument("--count", type=integer, help="number of frames (default: 36, or the rows of --path)")
     kind = group.add_mutually_exclusive_group()
-    kind.add_argument("--turns", type=number, default=1.0, help="turns of the body about its target (default: 1)")
+    kind.add_argument("--turns", type=number, default=1.0, help="turns of the body or the lights (default: 1)")
     kind.add_argument(
-        "--light-to", type=number, nargs=3, metavar=("X", "Y", "Z"), help="last direction of a light that moves"
-    )
+        "--light-to", type=number, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of the first light in the last frame; all lights move together, see warpdiff.light_sweep",
+    )  # fmt: skip
     kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
-    group.add_argument(
+    at_rest = group.add_mutually_exclusive_group()
+    at_rest.add_argument(
         "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
+    )
+    at_rest.add_argument(
+        "--lights-turn", action="store_true", help="the lights turn around the body, by --turns; otherwise it turns"
     )
     flags.add(group, describe(wd.sequence), only=("formats", "animation", "frames_per_second", "overwrite"))
     group.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers render")
@@ -326,10 +340,11 @@ _COMMANDS = {
         _add_render, cli_commands.render,
     ),
     "sequence": _Command(
-        "render frames: a body that turns, or under a light that moves, or along a camera's path",
+        "render frames: a body that turns, or under lights that move, or along a camera's path",
         "warpdiff sequence snake --heightfield fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn \\\n"
         "      --animation turn.webp\n"
         "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
+        "  warpdiff sequence snake --heightfield fingers --environment clear-sky --lights-turn --tolerance 0.1 -o day\n"
         "  warpdiff sequence snake --heightfield fingers --path camera.csv -o flight",
         _add_sequence, cli_commands.sequence,
         _WORDS | {

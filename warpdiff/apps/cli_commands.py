@@ -42,7 +42,7 @@ def render(options: argparse.Namespace) -> None:
     _check_output(options)
     environment = cli_inputs.environment_of(options)
     mesh, heightfield, view = cli_inputs.scene_of(options)
-    lights = cli_inputs.lights_of(options, None if environment else view) + ([environment] if environment else [])
+    lights = cli_inputs.lights_of(options, view, environment)
     settings = cli_inputs.settings_of(options, SinglePictureSettings)
     image = wd.shade(mesh, heightfield, lights, view, **settings, progress=_progress())
     background = None
@@ -76,14 +76,21 @@ def sequence(options: argparse.Namespace) -> None:
     """Render the frames of a sequence."""
     if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
         raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
+    if options.lights_turn and (options.path or options.light_to):
+        raise ArgumentValueError(
+            f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
+        )
     saving = given(options, describe(wd.sequence))
+    environment = cli_inputs.environment_of(options)
     mesh, heightfield, view = cli_inputs.scene_of(options)
-    lights = cli_inputs.lights_of(options, view)
+    lights = cli_inputs.lights_of(options, view, environment)
     count = 36 if options.count is None else options.count
     if options.path is not None:
         shots = wd.camera_path(options.path, lights, view, count=options.count)
     elif options.light_to is not None:
-        shots = wd.light_sweep(lights[0], view, options.light_to, count=count)
+        shots = wd.light_sweep(lights, view, options.light_to, count=count)
+    elif options.lights_turn:
+        shots = wd.light_sweep(lights, view, turns=options.turns, count=count)
     else:
         shots = wd.turntable(lights, view, count=count, turns=options.turns, lights_follow=not options.lights_stay)
     settings = cli_inputs.settings_of(options, PictureSettings)

@@ -37,6 +37,8 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
+# The environment that is no file, and the direction to its sun that the command line begins with: from the upper right.
+_CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 
 
@@ -183,8 +185,8 @@ def illuminant_of(text: str) -> str | wd.Spectrum:
         return wd.Spectrum.from_csv(text) if Path(text).suffix else text
 
 
-def lights_of(options: argparse.Namespace, view: wd.View | None) -> list[Any]:
-    """Return the lights that flags give; of none, one from behind the shoulder of a view's camera."""
+def lights_of(options: argparse.Namespace, view: wd.View, environment: wd.Environment | None = None) -> list[Any]:
+    """Return the lights that flags give, and the environment; of none, one from behind the camera's shoulder."""
     illuminant, lights = illuminant_of(options.illuminant), []
     for texts in options.light or ():
         kind, colon, parameters = texts[0].partition(":")
@@ -205,7 +207,9 @@ def lights_of(options: argparse.Namespace, view: wd.View | None) -> list[Any]:
                 f"{ref('light')} must be three numbers X Y Z, or KIND:name=value,…, got {' '.join(texts)!r}"
             ) from None
         lights.append(wd.DirectionalLight((x, y, z), illuminant=illuminant))
-    if not lights and view is not None:
+    if environment is not None:
+        lights.append(environment)
+    if not lights:
         frame = view.frame()
         to_light = tuple((frame.back + 0.6 * frame.up + 0.3 * frame.right).tolist())
         lights.append(wd.DirectionalLight(to_light, illuminant=illuminant))
@@ -217,15 +221,28 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
     described = describe(wd.Environment.load)
     values = given(options, described, "environment_")
     words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
+    # Sequences have no such flag.
+    is_behind = getattr(options, "environment_behind", False)
     if options.environment is None:
-        if values or options.environment_behind:
+        if values or is_behind:
             flag = words[next(iter(values))] if values else "--environment-behind"
             raise ArgumentValueError(f"{flag} requires --environment")
         return None
-    if options.environment_behind and "background" in options:
+    if is_behind and "background" in options:
         raise ArgumentValueError("--environment-behind and --background both set the background: give one of them")
-    if options.environment_behind and Path(options.output).suffix.lower() != ".png":
+    if is_behind and Path(options.output).suffix.lower() != ".png":
         raise ArgumentValueError(f"--environment-behind is for .png files, got --output {options.output}")
+    name, _, parameters = options.environment.partition(":")
+    if name == _CLEAR_SKY:
+        if "rotation_deg" in values:
+            raise ArgumentValueError(
+                f"{words['rotation_deg']} is for files, got {options.environment}: give its sun_direction"
+            )
+        defaults = {"sun_direction": _SUN_DIRECTION} | values
+        sky: wd.Environment = _called(
+            options.environment, wd.Environment.clear_sky, parameters, defaults, "environment"
+        )
+        return sky
     with renaming(words):
         return wd.Environment.load(options.environment, **values)
 

@@ -26,19 +26,18 @@ if TYPE_CHECKING:
 # Limit of powers: squares of colours are float32.
 MOST_POWER = 1e12
 # Samples of the pixels' own rays under a disc, where no cells follow.
-DISC_SAMPLES = 32
+DISC_SAMPLES = 128
 
 
 class Light(ABC):
     """Base class of light sources."""
 
     @abstractmethod
-    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:
+    def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
         """Return the parts that pictures render one after the other.
 
         Args:
             coherence: Coherence of the picture, whose window blurs the light.
-            tolerance: Tolerance of the picture.
             single_lobe: Whether a light that one lobe can approximate becomes one.
             name: The argument that holds this light, for messages.
 
@@ -150,7 +149,7 @@ class LobeLight(Light):
     def lobe(self) -> Lobe:
         """Return the light as one lobe, whose mean and variance are those of a disc."""
 
-    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
+    def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
         """Return the lobe as a part."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
         return [LobeSet((self.lobe(),))]

@@ -65,9 +65,9 @@ class DirectionalLight(Checked, LobeLight):
         """Angular radius [rad]."""
         return math.radians(self.angular_diameter_deg / 2.0)
 
-    def parts(self, coherence: Coherence, *, tolerance: float, single_lobe: bool, name: str) -> Sequence[LightPart]:
+    def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
         """Return one lobe, or a disc whose directions are sampled: see :class:`warpdiff.lights.base.Light`."""
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
-            return super().parts(coherence, tolerance=tolerance, single_lobe=single_lobe, name=name)
+            return super().parts(coherence, single_lobe=single_lobe, name=name)
         check_illuminant(self.illuminant, f"{name}.illuminant")
         return [DiscPart(self.lobe(), self._radius)]

@@ -25,6 +25,9 @@ _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # most: a disc has half of its radius.
 _DEVIATION, _MOST_DEVIATION = 1.0, 0.5
 
+# Number of samples whose directions are measured.
+_MEASURED = 16
+
 
 class DiscPass(LobePass):
     """Pass of a disc. Its last lobe is the one with the mean and the variance of the disc, its others are samples.
@@ -45,6 +48,11 @@ class DiscPass(LobePass):
     def first_lobes(self) -> range:
         """The single lobe where cells follow, otherwise the samples."""
         return range(DISC_SAMPLES, DISC_SAMPLES + 1) if self.context.refines else range(DISC_SAMPLES)
+
+    @property
+    def measured_lobes(self) -> range:
+        """Some of the samples, so that a plan's sample has many pixels."""
+        return range(_MEASURED)
 
     @property
     def cell_lobes(self) -> range:

@@ -248,6 +248,11 @@ class LightPass(ABC):
         return range(self.lobe_count)
 
     @property
+    def measured_lobes(self) -> range:
+        """The lobes whose directions a plan is for."""
+        return range(self.lobe_count)
+
+    @property
     def cell_lobes(self) -> range:
         """The lobes that cells take."""
         return range(self.lobe_count)

@@ -68,9 +68,9 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield the lobes of all passes."""
+        """Yield the lobes of all passes whose directions are measured; without means these are all."""
         for light, light_pass in enumerate(self._passes):
-            for lobe in range(light_pass.lobe_count):
+            for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
 
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:

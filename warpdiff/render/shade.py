@@ -191,8 +191,8 @@ class PictureInputs:
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """Return the explicit plan, or one for these directions; lights with an extent require one with a table.
 
-        Where no table meets the tolerance for single directions, lights get the best table, and skies, whose cells are
-        wide, a small one.
+        Where no table meets the tolerance for single directions, lights get the best table. Skies, and lights that show
+        nothing but darkness to all directions of the sample, get the smallest one that is expected to suffice.
         """
         evaluation = self.evaluation
         plan = evaluation.plan or plan_for(evaluation, direction_range, sample, count)
@@ -203,7 +203,7 @@ class PictureInputs:
                     evaluation, plan=None, method=method, integration="table", tolerance=plan.tolerance, strict=False
                 )
                 plan = plan_for(by_table, direction_range, sample, count)
-            else:
+            if not plan.uses_footprints:
                 rings, azimuths = (
                     polar_grid.smallest_sufficient_size(plan) or polar_grid.table_sizes(plan.coherence)[-1]
                 )
@@ -241,8 +241,8 @@ def warn_unconverged(image: Image) -> None:
         warn(
             f"{100.0 * report.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
             f"{ref('tolerance', report.tolerance)}, and {100.0 * report.unconverged_edge_share:.2g} % of those at "
-            "edges to exceed three times the tolerance: see image.error; render a larger picture, move the camera "
-            "closer, or give an Environment more directions"
+            "edges to exceed three times the tolerance: see image.error; render a larger picture, or move the camera "
+            "closer"
         )
 
 
@@ -280,12 +280,11 @@ def parts_of(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> 
     The lobes of all lights are one part, whose pixels are refined together: as errors of lights have the same causes,
     those of lights that are refined one by one would add up.
     """
-    tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
     result: list[LightPart] = []
     for index, light in enumerate(lights):
         name = f"lights[{index}]"
         validation.instance(light, Light, name)
-        result += light.parts(evaluation.coherence, tolerance=tolerance, single_lobe=not refine, name=name)
+        result += light.parts(evaluation.coherence, single_lobe=not refine, name=name)
     lobes = [lobe for part in result if type(part) is LobeSet for lobe in part.lobes]
     others = [part for part in result if type(part) is not LobeSet]
     return [LobeSet(tuple(lobes)), *others] if lobes else others

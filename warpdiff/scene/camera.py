@@ -116,13 +116,14 @@ class View(Checked):
         direction: ArrayLike | None = None, *, target: ArrayLike | None = None, up: ArrayLike = (0.0, 1.0, 0.0),
         fov_y_deg: float = 40.0, width: int = 640, height: int = 480,
     ) -> View:  # fmt: skip
-        """Frame a mesh: the image holds its bounding sphere.
+        """Frame a mesh: the image holds its bounding sphere, also while mesh or camera turn about the target.
 
         Args:
             mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file.
             direction: Direction from the mesh to the camera, world frame, shape (3,). None is the front, which is +z,
                 or −y for an ``up`` near ±z, raised by 31° towards ``up``.
-            target: Point in the middle of the image, world frame, shape (3,). None is the bounding sphere's centre.
+            target: Point in the middle of the image, world frame, shape (3,). None is the bounding sphere's centre; the
+                camera is farther away from other targets.
             up: Direction that points up in the image, shape (3,).
             fov_y_deg: Vertical field of view [degrees], less than 180.
             width: Width of the image in pixels.
@@ -147,7 +148,8 @@ class View(Checked):
         half = min(half, math.atan(math.tan(half) * view.width / view.height))
         centre, radius = bounding_sphere(mesh)
         middle: Any = centre if target is None else validation.vector(target, "target")
-        return replace(view, eye=middle + radius / math.sin(half) * back / np.linalg.norm(back), target=middle)
+        reach = radius + math.dist(middle, centre)
+        return replace(view, eye=middle + reach / math.sin(half) * back / np.linalg.norm(back), target=middle)
 
     def frame(self) -> ViewFrame:
         """Return the camera's origin and axes, in float64, read-only."""

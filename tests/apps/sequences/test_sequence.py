@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import pickle
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from PIL import Image
 
 import warpdiff as wd
+from warpdiff.apps.sequences import frames
+from warpdiff.lights.environment import with_settings
 
 LIGHT = wd.DirectionalLight((0.3, 1.0, 0.4))
 VIEW = wd.View((0.0, 2.0, 3.0), (0.1, 0.0, 0.0), fov_y_deg=50.0, width=40, height=30)
@@ -44,6 +47,14 @@ def test_a_turntable_turns_once_about_the_target():
     assert {each.lights for each in around} == {(LIGHT,)}
     # Half of a half turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
+    # A camera that frames a body, here about one of its ends, holds it in all frames.
+    body = wd.meshes.tube()
+    for shot in wd.turntable(LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30), count=7):
+        frame = shot.view.frame()
+        rays = body.vertices - frame.origin
+        depth = -rays @ frame.back
+        assert np.abs(rays @ frame.right / depth).max() < frame.half_width
+        assert np.abs(rays @ frame.up / depth).max() < frame.half_height
 
 
 def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
@@ -54,6 +65,53 @@ def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
     np.testing.assert_allclose(np.sum(towards[1:] * towards[:-1], axis=1), towards[0] @ towards[1])
     with pytest.raises(ValueError, match="opposite"):
         wd.light_sweep(LIGHT, VIEW, tuple(-each for each in LIGHT.to_light))
+
+
+def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
+    lamp, sky = wd.PointLight((0.1, 2.0, 0.0), power=3.0), wd.Environment.clear_sky((1.0, 1.0, 0.0))
+    disc = dataclasses.replace(LIGHT, angular_diameter_deg=3.0)
+    # A quarter of a circle around the target, at the distance that it begins with.
+    shots = wd.light_sweep([lamp, disc], VIEW, (0.0, 0.0, 5.0), count=3)
+    half = math.sqrt(2.0)
+    positions = [each.lights[0].position for each in shots]
+    np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
+    # About +x, as the first light.
+    x, y, z = disc.to_light
+    np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
+    assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
+    assert {each.view for each in shots} == {VIEW}
+    turning = wd.light_sweep([sky, disc], VIEW, turns=0.5, count=2)
+    assert turning[0].lights == (sky, disc)
+    # A quarter turn, counter-clockwise from above, takes +x to −z.
+    expected = wd.Environment.clear_sky((0.0, 1.0, -1.0))
+    assert turning[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
+    np.testing.assert_allclose(turning[1].lights[1].to_light, (z, y, -x))
+    # Seen from a camera that is upside down, it turns the other way.
+    below = wd.light_sweep(sky, dataclasses.replace(VIEW, up=(0.0, -1.0, 0.0)), turns=-0.5, count=2)
+    assert below[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
+
+
+class Spotlight(wd.PointLight):
+    """A light of a kind of its own, which may have an axis."""
+
+
+def test_lights_that_cannot_move_are_refused_and_may_stay():
+    spotlight, tilted = Spotlight((0.0, 3.0, 0.0)), dataclasses.replace(VIEW, up=(0.1, 1.0, 0.0))
+    sky = wd.Environment(np.ones((2, 4, 3)))
+    for make, message in (
+        (lambda: wd.turntable([LIGHT, spotlight], VIEW), r"lights\[1\] must be a .* got Spotlight; make"),
+        (lambda: wd.turntable(sky, tilted), r"lights\[0\] is an Environment, which rotates about \+y only, got .*0.1"),
+        (lambda: wd.light_sweep([LIGHT, sky], VIEW, (1.0, 0.0, 0.0)), r"lights\[1\] is an Environment"),
+        (lambda: wd.light_sweep(sky, VIEW, (1.0, 0.0, 0.0)), r"lights\[0\] must be .* got Environment; give turns"),
+        (lambda: wd.light_sweep(LIGHT, VIEW), "to_light or turns must be given, got neither: give one"),
+        (lambda: wd.light_sweep(LIGHT, VIEW, (1, 0, 0), turns=1.0), "to_light or turns must be given, got both"),
+        (lambda: wd.light_sweep(wd.PointLight(VIEW.target), VIEW, (1, 0, 0)), "position - view.target must not"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
+    for lights in (spotlight, [sky, LIGHT]):
+        shots = wd.turntable(lights, tilted, count=3, lights_follow=False)
+        assert {each.lights for each in shots} == {shots[0].lights}
 
 
 def test_a_path_is_read_from_a_file(tmp_path):
@@ -79,12 +137,47 @@ def test_a_path_is_read_from_a_file(tmp_path):
             wd.camera_path(path, LIGHT, VIEW)
 
 
+def test_frames_under_every_kind_of_light_are_those_of_shade(tmp_path):
+    """Also where a worker draws them, and without the arrays of any frame's sky staying with its shot."""
+    body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
+    sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
+    # About as bright as the sky.
+    disc = wd.DirectionalLight((0.3, 1.0, 0.4), angular_diameter_deg=3.0, power=300.0)
+    lights = [sky, wd.PointLight((0.0, 3.0, 1.0), power=3e3), disc]
+    view = wd.View.fit(body, width=16, height=12)
+    options = {"coherence": wd.Coherence(sigma_um=0.6), "refine": False}
+    renderer = wd.Renderer(body, heightfield, lights, view, tolerance=0.5, **options)
+    turning, sweeping = wd.turntable(lights, view, count=2), wd.light_sweep(lights, view, turns=0.5, count=2)
+    for name, shots in (("turn", turning), ("sweep", sweeping)):
+        paths = wd.sequence(renderer, shots, tmp_path / name, formats=[".exr"], exposure=1e-2)
+        assert not any("_parts" in vars(shot.lights[0]) for shot in shots[1:])
+        for path, shot in zip(paths, shots, strict=True):
+            exact = wd.shade(body, heightfield, shot.lights, shot.view, plan=renderer.plan, **options)
+            exact.save(tmp_path / "exact.exr", exposure=1e-2)
+            assert path.read_bytes() == (tmp_path / "exact.exr").read_bytes()
+    assert turning[1].lights[0]._maps is sweeping[1].lights[0]._maps
+    job = frames.FrameJob("key", (".exr",), {".exr": {"exposure": 1e-2}})
+    pickled = pickle.dumps((renderer, sweeping))
+    assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
+    assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
+    # The image of a sky counts, and its rotation to the bit.
+    brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
+    rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
+    for other in (brighter, rotated):
+        with pytest.raises(ValueError, match="another sequence"):
+            wd.sequence(renderer, [wd.Shot((other, *lights[1:]), view)] * 2, tmp_path / "sweep", formats=[".exr"])
+
+
 def test_frames_are_the_renderer_s_at_one_exposure(renderer, tmp_path):
     shots = wd.turntable(LIGHT, VIEW, count=5)
     shares = []
     paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    np.testing.assert_allclose(shares, np.arange(6) / 5)
+    # Within frames, too; a whole one is there.
+    assert shares == sorted(shares)
+    assert len(shares) > 6
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert set((np.arange(6) / 5).tolist()) <= set(shares)
     exposure = json.loads((tmp_path / "turn" / "sequence.json").read_text())["exposure"]
     for index, shot in enumerate(shots):
         renderer.draw(shot.lights, shot.view)
@@ -104,7 +197,7 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
     whole = [path.read_bytes() for path in wd.sequence(renderer, shots, tmp_path / "whole")]
 
     def interrupt(share):
-        if share > 0.5:
+        if share >= 4.0 / 6.0:
             raise KeyboardInterrupt
 
     folder = tmp_path / "turn"
@@ -116,7 +209,12 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
     draw = wd.Renderer.draw
-    monkeypatch.setattr(wd.Renderer, "draw", lambda self, lights, view: drawn.append(view) or draw(self, lights, view))
+
+    def recorded(self, lights, view, **options):
+        drawn.append(view)
+        return draw(self, lights, view, **options)
+
+    monkeypatch.setattr(wd.Renderer, "draw", recorded)
     # A renderer like it in another process.
     paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (our own)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]

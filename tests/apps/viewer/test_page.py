@@ -341,6 +341,12 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
     assert changed(illuminated, plain) > 0.05
     assert made.page.locator("#light").is_visible()
     assert "DirectionalLight" in made.page.locator("#python").text_content()
+    made.set("environment", "clear sky with a sun")
+    assert not made.page.locator("#set-environment_rotation_deg").is_visible()
+    outdoors = made.rest()
+    made.set("sun_elevation_deg", 20)
+    assert changed(made.rest(), outdoors) > 0.01
+    assert "wd.Environment.clear_sky((" in made.page.locator("#python").text_content()
     made.set("environment", "none")
     assert not made.page.locator("#set-environment_scale").is_visible()
     assert changed(made.rest(), illuminated) > 0.01

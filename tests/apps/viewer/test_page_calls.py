@@ -69,7 +69,8 @@ def recorded(monkeypatch, tmp_path):
     for module, names in ((wd.gratings, viewer_controls.GRATINGS), (wd.meshes, viewer_controls.BODIES)):
         for name in names:
             monkeypatch.setattr(module, name, recorder(getattr(module, name)))
-    monkeypatch.setattr(wd.Environment, "load", recorder(wd.Environment.load))
+    for name in ("load", "clear_sky"):
+        monkeypatch.setattr(wd.Environment, name, recorder(getattr(wd.Environment, name)))
     monkeypatch.chdir(tmp_path)
 
 
@@ -148,6 +149,16 @@ def test_a_scene_has_a_light_or_an_environment_or_both(files):
     assert spelled(error.value, word(controls(), values)) == (
         "there is no light: select a light, or an environment, which requires coherence = averaged"
     )
+
+
+def test_a_clear_sky_needs_no_file():
+    sun = {"sun_azimuth_deg": 90.0, "sun_elevation_deg": 30.0, "environment_ground_albedo": 0.5, "light": "none"}
+    values = VALUES | {"environment": "clear sky", "environment_scale": 2.0} | sun
+    scene = Scene.of(values, NamedFiles())
+    assert str(scene.sky) == "wd.Environment.clear_sky((0.8660254, 0.5, 0.0), ground_albedo=0.5, scale=2.0)"
+    words = scene.command(VIEW, 0.1, {})
+    assert "--environment clear-sky:sun_direction=0.8660254x0.5x0.0,ground_albedo=0.5 --environment-scale 2.0" in words
+    assert Scene.of(VALUES, NamedFiles()).sky is None
 
 
 def test_scenes_are_written_as_they_are_made():

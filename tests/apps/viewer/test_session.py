@@ -97,7 +97,7 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
     # Of a window that takes seconds less: its tables are made for the page, its code and its command.
-    small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none"}
+    small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
     with Page(studio) as page:

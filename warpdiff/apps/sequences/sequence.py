@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import pickle
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -14,19 +13,21 @@ import numpy as np
 from annotated_types import Ge, Interval, Unit
 
 from warpdiff.apps.sequences import animation as animated
-from warpdiff.apps.sequences.frames import FrameJob, draw_by_workers, draw_frame
+from warpdiff.apps.sequences.frames import FrameJob, FrameRenderer, draw_by_workers, draw_frame
 from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
 from warpdiff.image.display_transform import MEAN_SHOWN, Display, GamutName
 from warpdiff.image.image import MOST_STOPS, PNG_END, Bits
+from warpdiff.lights.base import LobeLight
+from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (``checked`` reads annotations)
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
 Format = Literal[".png", ".exr"]
@@ -74,7 +75,8 @@ def sequence(
         overwrite: Whether frames of another sequence in the folder are deleted; otherwise they are an error.
         client: ``distributed.Client`` whose workers draw the frames, which this process writes to files. Each worker
             receives the renderer once and keeps its tables; lost workers are replaced.
-        progress: Callable that gets the share of the frames that exist, 0 to 1; True shows a bar.
+        progress: Callable that gets the share that is done, 0 to 1, also within frames that this process draws; True
+            shows a bar. The share of whole frames counts those that exist. An exception that it raises ends the call.
 
     Returns:
         Paths of the frames in order, those of the first format, then those of the second.
@@ -108,7 +110,7 @@ def sequence(
     key = _key(renderer, shots, (suffixes, exposure, png))
     factor = _manifest(target, key, overwrite=overwrite).get("exposure")
     if factor is None:
-        factor = _metered(renderer, shots, display) if exposure is None else exposure
+        factor = _metered(renderer, shots, display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
     exr = {"exposure": exposure, "exposure_stops": exposure_stops if exposure is not None else 0.0}
     job = FrameJob(key, suffixes, {".png": {**png, "exposure": factor}, ".exr": exr})
@@ -118,7 +120,13 @@ def sequence(
     missing = [index for index, of_frame in enumerate(paths) if not all(_is_whole(path, shots[0]) for path in of_frame)]
     done = len(shots) - len(missing)
     report(done / len(shots))
-    for index, contents in _draw(job, renderer, shots, missing, client):
+
+    def report_within(share: float) -> None:
+        # Only a frame that is written is a whole one.
+        if share < 1.0:
+            report((done + share) / len(shots))
+
+    for index, contents in _draw(job, renderer, shots, missing, client, report_within):
         for path in paths[index]:
             _write(path, contents[path.suffix])
         done += 1
@@ -130,14 +138,16 @@ def sequence(
 
 
 def _draw(
-    job: FrameJob, renderer: Renderer, shots: Sequence[Shot], missing: Sequence[int], client: Any
-) -> Iterator[tuple[int, dict[str, bytes]]]:
-    """Frames that are missing, as they are drawn."""
+    job: FrameJob, renderer: Renderer, shots: Sequence[Shot], missing: Sequence[int], client: Any,
+    progress: Callable[[float], None],
+) -> Iterator[tuple[int, dict[str, bytes]]]:  # fmt: skip
+    """Frames that are missing, as they are drawn; this process reports the progress of each of its own."""
     if client is None:
+        frame_renderer = FrameRenderer(renderer)
         for index in missing:
-            yield index, draw_frame(job, renderer, shots[index])
+            yield index, draw_frame(job, frame_renderer, shots[index], progress)
     elif missing:
-        yield from draw_by_workers(client, job, pickle.dumps(renderer), {index: shots[index] for index in missing})
+        yield from draw_by_workers(client, job, renderer, shots, missing)
 
 
 def _check_shots(shots: Any, renderer: Renderer) -> None:
@@ -165,11 +175,19 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     _feed(digest, {name: getattr(settings, name) for name in names})
     device = settings.device.partition(":")[0]
     _feed(digest, (device, state["surface"], heightfield.heights_um, heightfield.pitch_um))
+    radiances: dict[int, str] = {}
     # A hundred thousand of them are soon written.
     for shot in shots:
         digest.update(repr(shot).encode())
-        # The repr of a spectrum is its name.
-        _feed(digest, [light.illuminant for light in shot.lights if not isinstance(light.illuminant, str)])
+        for light in shot.lights:
+            # The repr of a spectrum is its name, that of an environment its rounded settings.
+            if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
+                _feed(digest, light.illuminant)
+            elif isinstance(light, Environment):
+                # Skies that rotate share their image.
+                image = np.asarray(light.radiance_rgb)
+                radiances[id(image)] = radiances.get(id(image)) or hashlib.sha256(image.tobytes()).hexdigest()
+                _feed(digest, (image.shape, radiances[id(image)], light.rotation_deg, light.scale, light.directions))
     return digest.hexdigest()
 
 
@@ -219,17 +237,17 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
     return {}
 
 
-def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display) -> float:
-    """One exposure for all frames."""
+def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report: Callable[[float], None]) -> float:
+    """One exposure for all frames; ``report`` is called after each that is measured."""
     view = shots[0].view
     scale = min(_METERED_WIDTH / max(view.width, view.height), 1.0)
     width, height = max(round(scale * view.width), 1), max(round(scale * view.height), 1)
     chosen = [shots[index] for index in np.unique(np.linspace(0, len(shots) - 1, _METERED).round().astype(int))]
-    small = renderer.resized(dataclasses.replace(view, width=width, height=height), refine=False)
+    small = FrameRenderer(renderer.resized(dataclasses.replace(view, width=width, height=height), refine=False))
     logarithms = []
     for shot in chosen:
-        small.draw(shot.lights, dataclasses.replace(shot.view, width=width, height=height))
-        image = small.image()
+        image = small.draw(Shot(shot.lights, dataclasses.replace(shot.view, width=width, height=height)))
+        report(0.0)
         # A black picture says nothing.
         if image.xyz[..., 1].max(initial=0.0) > 0.0:
             logarithms.append(math.log(image.auto_exposure))

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from annotated_types import Interval
 
+from warpdiff.apps.sequences.light_motion import Rotation, direction_of
 from warpdiff.core import validation
 from warpdiff.core.files import naming_file
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.lights.directional import DirectionalLight
+from warpdiff.lights.base import Light, LobeLight
 from warpdiff.optics import colorimetry
 from warpdiff.request.signatures import checked
 from warpdiff.scene.camera import View
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 MOST_SHOTS = 100_000
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
+Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]
+# Least sine of the angle between two directions that define a great circle.
+_LEAST_SINE = 1e-9
 _COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 _MORE_COLUMNS = ("up_x", "up_y", "up_z", "fov_y_deg")
 
@@ -37,11 +41,11 @@ class Shot:
     """Lights and camera of one frame.
 
     Attributes:
-        lights: One directional light, or several; stored as a tuple.
+        lights: One light of any kind, or several; stored as a tuple.
         view: Camera.
     """
 
-    lights: tuple[DirectionalLight, ...]
+    lights: tuple[Light, ...]
     view: View
 
     def __post_init__(self) -> None:
@@ -51,18 +55,22 @@ class Shot:
 
 @checked
 def turntable(
-    lights: DirectionalLight | Sequence[DirectionalLight], view: View, *, count: Count = 36,
-    turns: Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)] = 1.0, lights_follow: bool = True,
+    lights: Light | Sequence[Light], view: View, *, count: Count = 36, turns: Turns = 1.0, lights_follow: bool = True,
 ) -> list[Shot]:  # fmt: skip
     """Make the shots of a body that turns about the view's target, around its ``up``.
 
+    :meth:`warpdiff.View.fit` makes a view that holds the body in all frames::
+
+        body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 1.0, 0.5))
+        shots = wd.turntable([sky, wd.PointLight((0.0, 2.0, 1.0))], wd.View.fit(body, width=480, height=260))
+
     Args:
-        lights: Directional light of the first frame, or several.
+        lights: Light of the first frame, or several: directional lights and discs, point lights, environments.
         view: Camera of the first frame.
         count: Number of frames, evenly spaced; the frame after the last one equals the first.
         turns: Number of turns in total, counter-clockwise as seen from above; negative numbers turn clockwise.
         lights_follow: Whether camera and lights are at rest while the body turns; otherwise the camera moves around the
-            body, and body and lights are at rest.
+            body, and body and lights are at rest. Environments follow cameras whose ``up`` is +y or −y.
 
     Returns:
         The shots.
@@ -71,30 +79,42 @@ def turntable(
         ValueError: An argument is not accepted.
     """
     lights = _check_lights(lights)
-    angle = 2.0 * math.pi * turns / count
     axis = validation.directions(view.up, "view.up")[0][0]
+    angle = 2.0 * math.pi * turns / count
     target, offset = np.array(view.target), np.subtract(view.eye, view.target)
     shots = []
     for k in range(count):
         # Against the body's turn.
-        turn = _rotation(axis, -angle * k)
-        eye = target + turn @ offset if k else np.array(view.eye)
-        moved = lights
-        if lights_follow and k:
-            moved = [replace(light, to_light=tuple((turn @ np.array(light.to_light)).tolist())) for light in lights]
-        shots.append(Shot(tuple(moved), replace(view, eye=tuple(eye.tolist()))))
+        rotation = Rotation(axis, -angle * k, target)
+        eye = target + rotation.matrix @ offset if k else np.array(view.eye)
+        moved = rotation.rotated(lights) if lights_follow else tuple(lights)
+        shots.append(Shot(moved, replace(view, eye=tuple(eye.tolist()))))
     return shots
 
 
 @checked
-def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, count: Count = 36) -> list[Shot]:
-    """Make the shots of a light that moves along the great circle to another direction, at a constant rate.
+def light_sweep(
+    lights: Light | Sequence[Light], view: View, to_light: ArrayLike | None = None, *, turns: Turns | None = None,
+    count: Count = 36,
+) -> list[Shot]:  # fmt: skip
+    """Make the shots of lights that move at a constant rate while body and camera are at rest.
+
+    Directional lights and discs change their direction. Point lights move about the view's target, at their distance
+    from it. Environments rotate about +y. Several lights move together, as if they were fixed to each other::
+
+        view = wd.View.fit(wd.meshes.snake(), width=480, height=260)
+        shots = wd.light_sweep(wd.PointLight((0.0, 2.0, 1.0)), view, (1.0, 1.0, 0.0))  # along a great circle
+        shots = wd.light_sweep(wd.Environment.clear_sky((1.0, 1.0, 0.5)), view, turns=1.0)  # the sun goes around
 
     Args:
-        light: Light of the first frame.
+        lights: Light of the first frame, or several; with ``to_light`` the first one is a directional or a point light.
         view: Camera.
-        to_light: Direction towards the light in the last frame, world frame, shape (3,); it is normalised.
-        count: Number of frames, with both ends.
+        to_light: Direction from the view's target to the first light in the last frame, world frame, shape (3,); it is
+            normalised. The light moves along the great circle, and both ends are frames.
+        turns: Number of turns around the view's ``up``, instead of ``to_light``, counter-clockwise as seen from above;
+            negative numbers turn clockwise. The frame after the last one completes the turns. Environments require an
+            ``up`` of +y or −y.
+        count: Number of frames.
 
     Returns:
         The shots.
@@ -102,28 +122,36 @@ def light_sweep(light: DirectionalLight, view: View, to_light: ArrayLike, *, cou
     Raises:
         ValueError: An argument is not accepted, or the directions are opposite and have no shortest path.
     """
-    _check_lights(light)
-    begin = np.array(light.to_light)
+    lights, target = _check_lights(lights), np.array(view.target)
+    if (to_light is None) == (turns is None):
+        raise ArgumentValueError(
+            f"{ref('to_light')} or {ref('turns')} must be given, got {'neither' if turns is None else 'both'}: give one"
+        )
+    if turns is not None:
+        axis, angle, steps = validation.directions(view.up, "view.up")[0][0], 2.0 * math.pi * turns, count
+    else:
+        axis, angle = _great_circle(direction_of(lights[0], target), to_light)
+        steps = max(count - 1, 1)
+    return [Shot(Rotation(axis, angle * k / steps, target).rotated(lights), view) for k in range(count)]
+
+
+def _great_circle(begin: NDArray[np.float64], to_light: Any) -> tuple[NDArray[np.float64], float]:
+    """Return axis and angle of the shortest rotation of a direction to another one."""
     end = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0][0]
     axis = np.cross(begin, end)
     sine, cosine = float(np.linalg.norm(axis)), float(begin @ end)
-    angle = math.atan2(sine, cosine)
-    if sine < 1e-9:
-        if cosine < 0.0:
-            raise ArgumentValueError(
-                f"{ref('to_light')} must not be opposite to the first direction, got {end.tolist()}: make two sweeps"
-            )
-        return [Shot((light,), view)] * count
-    shots = []
-    for k in range(count):
-        towards = _rotation(axis / sine, angle * k / max(count - 1, 1)) @ begin
-        shots.append(Shot((replace(light, to_light=tuple(towards.tolist())),), view))
-    return shots
+    if sine >= _LEAST_SINE:
+        return axis / sine, math.atan2(sine, cosine)
+    if cosine < 0.0:
+        raise ArgumentValueError(
+            f"{ref('to_light')} must not be opposite to the first direction, got {end.tolist()}: make two sweeps"
+        )
+    return np.array([0.0, 1.0, 0.0]), 0.0
 
 
 @checked
 def camera_path(
-    path: str | os.PathLike[str], lights: DirectionalLight | Sequence[DirectionalLight], view: View, *,
+    path: str | os.PathLike[str], lights: Light | Sequence[Light], view: View, *,
     count: Count | None = None,
 ) -> list[Shot]:  # fmt: skip
     """Make the shots of a camera whose path is in a file.
@@ -132,7 +160,7 @@ def camera_path(
         path: CSV file with a header and one row per frame or key frame. The columns are ``eye_x``, ``eye_y``,
             ``eye_z``, ``target_x``, ``target_y``, ``target_z`` and optionally ``up_x``, ``up_y``, ``up_z`` and
             ``fov_y_deg``.
-        lights: Directional light of all frames, or several.
+        lights: Light of all frames, or several, of any kind; they are at rest.
         view: Camera that supplies the image size, and ``up`` and ``fov_y_deg`` if the file has none.
         count: Number of frames, with the first and the last row, interpolated by monotone cubics through the rows,
             which are evenly spaced. None makes one frame per row.
@@ -165,16 +193,18 @@ def camera_path(
     return shots
 
 
-def _check_lights(lights: Any) -> list[DirectionalLight]:
+def _check_lights(lights: Any) -> list[Light]:
     """Return the lights of a shot as a list."""
-    result = [lights] if isinstance(lights, DirectionalLight) else lights
+    result = [lights] if isinstance(lights, Light) else lights
     if not isinstance(result, (list, tuple)) or not result:
         raise ArgumentTypeError(
-            f"{ref('lights')} must be a DirectionalLight, or a non-empty sequence of them, got {lights!r:.60}"
+            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of "
+            f"them, got {lights!r:.60}"
         )
     for index, light in enumerate(result):
-        validation.instance(light, DirectionalLight, f"lights[{index}]")
-        colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
+        validation.instance(light, Light, f"lights[{index}]")
+        if isinstance(light, LobeLight):
+            colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
     return list(result)
 
 
@@ -221,10 +251,3 @@ def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
         return np.repeat(rows, count, axis=0)
     places = np.linspace(0.0, len(rows) - 1.0, count)
     return np.asarray(PchipInterpolator(np.arange(len(rows)), rows, axis=0)(places), dtype=np.float64)
-
-
-def _rotation(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """The matrix of a turn about a unit vector (Rodrigues)."""
-    x, y, z = axis.tolist()
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)

@@ -52,6 +52,8 @@ EXCLUDED = (
     *("integration", "footprint", "samples_per_pixel"),
 )
 _SKY = "Environment"
+# The sky that is no file.
+CLEAR_SKY = "clear sky"
 # Label and meaning of two controls.
 _X_AXIS = "x axis of the height field", "Direction of the height field's x axis on the body."
 _DIRECTIONS = {0: "64", 16: "16", 256: "256", 1024: "1024"}
@@ -155,15 +157,18 @@ def controls(
     meshes: Sequence[str] = (), heights: Sequence[str] = (), environments: Sequence[str] = ()
 ) -> dict[str, Control]:
     """Return all controls by name; the page offers the files of meshes, height fields and skies of these names."""
-    bodies, surfaces, skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
-    lights = ({"none": "none"} if environments else {}) | {"directional": "directional", "point": "point"}
+    bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
+    skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
+    # Pages with files of skies begin with the first one, others with a light.
+    lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, saving = describe(PictureSettings), describe(Coherence), describe(Image.save)
-    light, sky = describe(DirectionalLight), describe(Environment.load)
+    light, sky, clear = describe(DirectionalLight), describe(Environment.load), describe(Environment.clear_sky)
     methods = {method: method for method in picture["method"].choices if method != "direct"}
     any_light, any_window = {"light": ("directional", "point")}, {"coherence": ("averaged", "centred")}
     averaged, source, replicas = ({"coherence": (kind,)} for kind in ("averaged", "source", "replicas"))
     any_sky = averaged | {"environment": tuple(skies)}
+    any_file, clear_sky = averaged | {"environment": tuple(named_skies)}, averaged | {"environment": (CLEAR_SKY,)}
     waves = "sinusoidal", "lamellar", "blazed"
     entries = [
         _own("mesh", "Body", "mesh", "Mesh whose surface carries the height field.", labels=bodies),
@@ -188,9 +193,16 @@ def controls(
         _of_gratings("kind", "kind", None, "disc"),
         _of_gratings("length_um", "length", (16.0, 64.0, 0.1), "disc"),
         _of_gratings("seed", "seed", (0, 999, 1), "fingers", "disc"),
-        _own("environment", _SKY, "environment", "Sky or room.", shown_if=averaged, labels=skies | {"none": "none"}),
-        Control(sky["rotation_deg"], _SKY, "rotation", (-180.0, 180.0, 0.1), shown_if=any_sky,
+        _own("environment", _SKY, "environment", "Sky or room.", shown_if=averaged,
+             labels=skies | none if environments else none | skies),
+        Control(sky["rotation_deg"], _SKY, "rotation", (-180.0, 180.0, 0.1), shown_if=any_file,
                 name="environment_rotation_deg", call="environment"),
+        _own("sun_azimuth_deg", _SKY, "sun's azimuth", "Angle about +y, from the front to the right.", 60.0,
+             slider=(-180.0, 180.0, 0.1), shown_if=clear_sky),
+        _own("sun_elevation_deg", _SKY, "sun's elevation", "Angle above the horizon.", 45.0, slider=(1.0, 90.0, 0.1),
+             shown_if=clear_sky),
+        Control(clear["ground_albedo"], _SKY, "albedo of the ground", (0.0, 1.0, 0.01), shown_if=clear_sky,
+                name="environment_ground_albedo", call="environment"),
         Control(sky["scale"], _SKY, "scale", (0.01, 100.0, 0.01), log=True, shown_if=any_sky,
                 name="environment_scale", call="environment"),
         Control(sky["directions"], _SKY, "directions per pixel", shown_if=any_sky, default=0, labels=_DIRECTIONS,
@@ -231,9 +243,8 @@ def controls(
         _own("lock_exposure", "Picture", "lock the exposure", "Whether the automatic exposure stays.", False),
         _own("background", "Picture", "background", "Encoded grey level.", 0.1, slider=(0.0, 1.0, 0.01)),
     ]  # fmt: skip
-    known = [control for control in entries if environments or control.group != _SKY]
-    known += _further({control.option.name for control in known if control.call == "picture"} | set(EXCLUDED))
-    return {control.name: control for control in known}
+    entries += _further({control.option.name for control in entries if control.call == "picture"} | set(EXCLUDED))
+    return {control.name: control for control in entries}
 
 
 def _files(names: Sequence[str]) -> dict[str, str]:

@@ -156,15 +156,8 @@ class Scene:
         """Return the scene of checked values; a point light gets its position from :meth:`placed`."""
         known = files.controls
         mesh, tangents = _mesh(values, files)
-        azimuth, elevation = math.radians(values["azimuth_deg"]), math.radians(values["elevation_deg"])
-        # From the front, +z, to the right, +x; y is up.
-        to_light = (
-            math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth),
-        )  # fmt: skip
-        path = _file(values.get("environment", "none"), files.environments)
-        sky = light = None
-        if path is not None and known["environment"].is_shown(values):
-            sky = Call.of("Environment.load", str(path), **arguments(known, values, "environment"))
+        to_light = _towards(values["azimuth_deg"], values["elevation_deg"])
+        sky, light = _environment(values, files), None
         if values["light"] != "none":
             light = Call.of("DirectionalLight", to_light=_rounded(to_light), **arguments(known, values, "light"))
         elif sky is None:
@@ -250,7 +243,7 @@ class Scene:
         if self.light is not None:
             words += ["--light", _named(self.light)]
         if self.sky is not None:
-            words += ["--environment", *self.sky.operands, *_flags(dict(self.sky.options), "environment-")]
+            words += _environment_words(self.sky)
         if self.is_behind:
             words.append("--environment-behind")
             saving = {name: value for name, value in saving.items() if name != "background"}
@@ -301,6 +294,34 @@ def _height_field_words(call: Call) -> list[str]:
     defaults = {option.name: option.default for option in describe(function).values()} | dict(call.options)
     options = {name: value for name, value in defaults.items() if value not in (None, REQUIRED)}
     return [_named(Call.of(call.function, **options))]
+
+
+def _environment_words(call: Call) -> Iterator[str]:
+    """Yield an environment as words of the command line, which has flags for what files and clear skies share."""
+    options, (operand,) = dict(call.options), call.operands
+    if call.function == "Environment.clear_sky":
+        own = {name: options.pop(name) for name in tuple(options) if name not in describe(wd.Environment)}
+        sky = Call.of("clear-sky", sun_direction=operand, **own)
+        operand = _named(sky)
+    yield from ("--environment", operand, *_flags(options, "environment-"))
+
+
+def _towards(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    """Return a direction by its angle from the front, +z, to the right, +x, and that above the horizon; y is up."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    return math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth)
+
+
+def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
+    """Return the sky of a file, the clear sky, or None."""
+    known, name = files.controls, values["environment"]
+    if name == "none" or not known["environment"].is_shown(values):
+        return None
+    options = arguments(known, values, "environment")
+    if (path := _file(name, files.environments)) is not None:
+        return Call.of("Environment.load", str(path), **options)
+    to_sun = _towards(values["sun_azimuth_deg"], values["sun_elevation_deg"])
+    return Call.of("Environment.clear_sky", _rounded(to_sun), **options)
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:

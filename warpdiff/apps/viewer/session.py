@@ -59,6 +59,8 @@ _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
 # Time between two reports of progress [s].
 _REPORT_S = 0.5
+# What environments that share their maps may differ in.
+_SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 # Coverage of a pixel that the body fills.
 _FULL_COVERAGE = 0.999
 
@@ -389,11 +391,11 @@ class Studio:
             return lights
 
         def make() -> wd.Environment:
-            (path,) = sky.operands
-            loaded = self._caches.environments.get_or_make(path, lambda: wd.Environment.load(path))
-            options = {option.name: option.default for option in describe(wd.Environment.load).values()}
-            del options["path"]
-            return with_settings(loaded, **options | dict(sky.options))
+            options = dict(sky.options)
+            settings = {name: options.pop(name) for name in _SKY_SETTINGS if name in options}
+            bare = dataclasses.replace(sky, options=tuple(options.items()))
+            made: wd.Environment = self._caches.environments.get_or_make(str(bare), bare.make)
+            return with_settings(made, **{name: getattr(made, name) for name in _SKY_SETTINGS} | settings)
 
         return [*lights, self._caches.skies.get_or_make(str(sky), make)]
 
@@ -487,7 +489,9 @@ def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
 def _illuminants(scene: Scene) -> tuple[str, ...]:
     """Return the spectra of a scene's lights; an environment's suns have spectra of their own."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    return named if scene.sky is None else (*named, *map(str, scene.sky.operands))
+    # A file, or the clear sky, wherever its sun is.
+    paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
+    return named if scene.sky is None else (*named, scene.sky.function, *paths)
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:

@@ -19,8 +19,9 @@ from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance,
 from warpdiff.core import files, memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
-from warpdiff.lights.base import MOST_POWER
+from warpdiff.lights.base import MOST_POWER, Light
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
+from warpdiff.lights.environment import Environment
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.request.signatures import checked
@@ -72,9 +73,10 @@ def export_html(
         path: File with the suffix ``.html`` or ``.htm``.
         mesh: Mesh, as for :func:`warpdiff.shade`.
         lobes: Table of :func:`warpdiff.bake`.
-        lights: One to eight directional or point lights with the illuminant of ``lobes``. Discs have a diameter of at
-            most 5°, and require averaged lobes. The distance of point lights from the mesh's centre is at least 1.1
-            radii of its bounding sphere.
+        lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc has a diameter of at
+            most 5°, requires averaged lobes, and is one Gaussian of its variance with a hard shadow. The distance of
+            point lights from the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused:
+            use a directional light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
         view: First view, by a perspective camera. The size of the picture is that of the browser's window.
         ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material of the lobes.
         masking: Whether V-cavity masking and shadowing of the relief is included.
@@ -127,22 +129,33 @@ def export_html(
 
 
 def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | PointLight]:
-    result = [lights] if isinstance(lights, DirectionalLight | PointLight) else lights
+    """Return the lights as a list; refuse in one message all that a page does not show."""
+    result = [lights] if isinstance(lights, Light) else lights
     if not isinstance(result, (list, tuple)) or not 1 <= len(result) <= _MOST_LIGHTS:
         raise ArgumentTypeError(
             f"{ref('lights')} must be a DirectionalLight or a PointLight, or a sequence of 1 to {_MOST_LIGHTS} of "
             f"them, got {lights!r:.60}"
         )
+    most, remedy = ONE_LOBE_DEG, "several lights for a wide disc, or lobes of a source"
+    if lobes.coherence.kind != "averaged":
+        most, remedy = 0.0, "points instead of discs, as the lobes' source has a diameter"
+    refused: dict[str, str] = {}
     for index, light in enumerate(result):
-        if not isinstance(light, PointLight):
-            validation.instance(light, DirectionalLight, f"lights[{index}]")
-        most = ONE_LOBE_DEG if lobes.coherence.kind == "averaged" else 0.0
-        if isinstance(light, DirectionalLight) and light.angular_diameter_deg > most:
-            raise ArgumentValueError(
-                f"{ref(f'lights[{index}].angular_diameter_deg')} must be at most {most:g} on a page of lobes of kind "
-                f"{lobes.coherence.kind!r}, got {light.angular_diameter_deg:g}: use several lights, or bake lobes of a "
-                "source"
-            )
+        validation.instance(light, Light, f"lights[{index}]")
+        name = ref(f"lights[{index}]")
+        if type(light) is DirectionalLight and light.angular_diameter_deg > most:
+            refused[f"{name} ({light.angular_diameter_deg:g}°)"] = remedy
+        elif isinstance(light, Environment):
+            refused[f"{name} (Environment)"] = "a DirectionalLight for a sky's sun, or render a sequence under the sky"
+        elif type(light) not in (DirectionalLight, PointLight):
+            refused[f"{name} ({type(light).__name__})"] = "a PointLight or a DirectionalLight for other kinds"
+    if refused:
+        raise ArgumentValueError(
+            f"{ref('lights')} must be point lights, or directional lights of at most {most:g}° in diameter, on a page "
+            f"of lobes of kind {lobes.coherence.kind!r}, got {', '.join(refused)}; use "
+            f"{'; '.join(dict.fromkeys(refused.values()))}"
+        )
+    for index, light in enumerate(result):
         if light.illuminant != lobes.illuminant:
             raise ArgumentValueError(
                 f"{ref(f'lights[{index}].illuminant')} must be the illuminant of {ref('lobes')}, "

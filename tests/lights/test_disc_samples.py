@@ -1,14 +1,19 @@
-"""Lights of a size: the lobes that stand for a disc, and pictures against a disc of many points."""
+"""Lights of a size: samples of a disc, and pictures against a disc of many points and its shadow."""
 
 import math
 
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from conftest import relative_errors, slow
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
+from warpdiff.kernels.disc_samples import draw_disc
+from warpdiff.kernels.light_samples import Lights
+from warpdiff.kernels.structs import Pixels
+from warpdiff.lights.base import orthonormal_pair
 
 SHORT = wd.Coherence(sigma_um=8.0)
 VIEW = wd.View((0, 2, 4), (0, 0, 0), width=96, height=72)
@@ -41,26 +46,62 @@ def points_of(light, count):
     return found
 
 
-@pytest.mark.parametrize("sigma_um", [4.0, 16.25, None])
-@pytest.mark.parametrize("diameter", [0.0, 0.53, 5.0, 12.0, 40.0, 60.0])
-@pytest.mark.parametrize("single_lobe", [False, True])
-def test_lobes_have_the_mean_and_the_variance_of_the_disc(diameter, sigma_um, single_lobe):
-    light = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter)
-    lobes, axis = light.lobes(sigma_um, single_lobe=single_lobe), np.asarray(light.to_light)
-    powers = np.array([each.power for each in lobes])
-    assert powers.sum() == pytest.approx(3.0)
-    cosines = np.clip([axis @ each.to_light for each in lobes], -1.0, 1.0)
-    # Per axis: of where lobes lie, half of the mean squared distance, and of what they spread.
-    spread2 = [0.0 if each.deviations is None else 0.5 * np.sum(each.deviations**2) for each in lobes]
-    variance = np.average(0.5 * np.arccos(cosines) ** 2 + spread2, weights=powers)
-    # Several are as even as the disc and end where it does.
-    several = diameter > (5.0 if single_lobe else 1.5)
-    r = max(math.radians(diameter / 2.0), 1e-3)
-    of_disc = (2.0 * r * math.sin(r) + 2.0 * math.cos(r) - r * r * math.cos(r) - 2.0) / (1.0 - math.cos(r)) / 2.0
-    window = 0.0 if sigma_um is None else (0.45 / (math.sqrt(8.0) * math.pi * sigma_um)) ** 2
-    # As windows see it; ten lobes are closer to the disc's rim than to its width.
-    assert variance + window == pytest.approx((of_disc if diameter else 0.0) + window, rel=0.05 if several else 0.01)
-    assert len(lobes) >= 10 if several else len(lobes) == 1
+@pytest.mark.parametrize("diameter", [0.53, 5.0, 40.0])
+def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
+    lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobe()
+    assert lobe.power == 3.0
+    np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
+    # Half of the radius, but for what a sphere is not a plane.
+    sizes = np.linalg.norm(lobe.deviations, axis=1)
+    np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
+
+
+def drawn_towards(diameter, *, normal, view, lobe):
+    """Directions to a disc and their weights, for the 64 × 64 cells of a pixel that sees a plane."""
+    count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobe()
+
+    def repeated(value):
+        return wp.array(np.tile(value, (count, 1)), dtype=wp.vec3f, device="cpu")
+
+    lights, pixels = Lights(), Pixels()
+    lights.places = wp.array([(*light.to_light, 0.0)], dtype=wp.vec4d, device="cpu")
+    lights.deviations = wp.array(light.deviations[None].astype(np.float32), dtype=wp.vec3f, device="cpu")
+    pixels.hit = wp.full(count, 1, dtype=wp.int32, device="cpu")
+    tangents = orthonormal_pair(np.asarray(normal))
+    pixels.tangent, pixels.bitangent = repeated(tangents[0]), repeated(tangents[1])
+    pixels.normal, pixels.to_view = repeated(normal), repeated(view)
+    towards = wp.zeros(count, dtype=wp.vec4f, device="cpu")
+    tiles = wp.array([5], dtype=wp.int32, device="cpu")
+    inputs = [lights, 0, math.radians(diameter / 2.0), lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
+    wp.launch(draw_disc, (1, 1), inputs, [towards], device="cpu")
+    return towards.numpy()
+
+
+@pytest.mark.parametrize("diameter", [3.0, 60.0])
+@pytest.mark.parametrize("towards_mirror", [None, 0.4, 0.95])
+def test_directions_are_even_over_the_disc(diameter, towards_mirror):
+    """Also where some are drawn near that of a mirror, which lies on the disc at a share of its radius."""
+    axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
+    normal = view = -axis
+    if towards_mirror is not None:
+        view = axis * math.cos(towards_mirror * radius) + orthonormal_pair(axis)[0] * math.sin(towards_mirror * radius)
+        normal = view
+    towards = drawn_towards(diameter, normal=normal, view=view, lobe=0.2 * radius)
+    np.testing.assert_allclose(np.linalg.norm(towards[:, :3], axis=1), 1.0, atol=1e-5)
+    weights = towards[:, 3]
+    inside = weights > 0.0
+    cosines = towards[inside, :3] @ axis
+    assert np.all(cosines >= math.cos(radius) - 1e-6)
+    if towards_mirror is None:
+        np.testing.assert_array_equal(weights, 1.0)
+    # Weighted, solid angles are even outwards and around.
+    share = (1.0 - cosines) / (1.0 - math.cos(radius))
+    around = np.arctan2(*(towards[inside, :3] @ orthonormal_pair(axis).T).T)
+    count = len(towards)
+    assert weights.sum() / count == pytest.approx(1.0, abs=0.02)
+    for values, ends in ((share, (0.0, 1.0)), (around, (-math.pi, math.pi))):
+        found = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
+        np.testing.assert_allclose(found, 0.125, atol=0.012)
 
 
 @pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), slow(20.0, 320, 0.02, 0.1)])
@@ -99,22 +140,33 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
-def test_what_is_hidden_lobe_by_lobe_is_told(fingers):
-    """A plate over a floor, whose penumbra is stairs: as high as lobes are bright."""
-    floor, plate = trimesh.creation.box((4, 4, 0.1)), trimesh.creation.box((4, 1.5, 0.05))
-    body = trimesh.util.concatenate([floor, plate.apply_translation((0, 1.2, 2.0))])
+def test_a_penumbra_is_the_share_of_the_disc_that_an_edge_leaves():
+    """Behind the edge of a plate, far away as seen from the floor, Y falls as a chord cuts a disc."""
+    floor, plate = trimesh.creation.box((4, 4, 0.1)), trimesh.creation.box((40, 20, 0.05))
+    body = trimesh.util.concatenate([floor, plate.apply_translation((0, 10.0, 3.0))])
     body.visual.vertex_colors = np.full((len(body.vertices), 4), 200, dtype=np.uint8)
-    view = wd.View((0, -3, 3), (0, 0, 0), fov_y_deg=40, width=48, height=36)
-    light = wd.DirectionalLight((0.0, 0.5, 1.0), angular_diameter_deg=20.0)
-    options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05)}
-    found = wd.shade(body, fingers, light, view, **options)
-    points = points_of(light, 200)
-    exact = wd.shade(body, fingers, points, view, plan=found.plan, refine=False, tangents=(1.0, 0.1, 0.05))
-    seen = found.illuminated & exact.illuminated & (found.coverage > 0.999)
-    errors = np.linalg.norm(found.xyz - exact.xyz, axis=-1)[seen] / np.linalg.norm(exact.xyz, axis=-1)[seen]
-    assert np.count_nonzero(errors > 0.1) > 20
-    assert np.mean(found.error[seen] >= errors) > 0.8
-    assert np.mean(found.error[seen][errors > 0.1] > 5e-2) > 0.6
+    view = wd.View((0, -3, 3), (0, 0, 0), fov_y_deg=30, width=24, height=48)
+    light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
+    flat = wd.HeightField(np.zeros((8, 8)), 0.09)
+    options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
+    # The pigment sends the same from all parts of the disc.
+    shown, bare = (
+        wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
+        - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
+        for each in (True, False)
+    )
+    frame = view.frame()
+    y = frame.half_height * (1.0 - 2.0 * (np.arange(48) + 0.5) / 48)
+    along = y[:, None] * frame.up - frame.back
+    on_floor = np.asarray(view.eye) + (0.05 - view.eye[2]) / along[:, 2:] * along
+    # How far the edge lies over the middle of the disc, in its radii.
+    edge = np.arctan2(0.0 - on_floor[:, 1], 3.0 - 0.025 - 0.05) / math.radians(5.0)
+    cut = np.clip(edge, -1.0, 1.0)
+    visible = 0.5 + (np.arcsin(cut) + cut * np.sqrt(1.0 - cut**2)) / math.pi
+    rows = np.flatnonzero((visible > 0.05) & (visible < 0.95))
+    assert len(rows) >= 6
+    found = shown[rows, 8:16, 1].sum(axis=1) / bare[rows, 8:16, 1].sum(axis=1)
+    np.testing.assert_allclose(found, visible[rows], atol=0.04)
 
 
 def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
@@ -128,9 +180,9 @@ def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # That of single directions is told to be 0.09.
+    # That of single directions is told to be 0.09, and samples scatter.
     assert np.median(errors) < 0.06
-    assert errors.max() < 0.15
+    assert errors.max() < 0.2
 
 
 def test_a_size_is_said_once_and_takes_footprints(fingers):
@@ -150,7 +202,7 @@ def test_a_rim_is_as_sharp_as_the_discs(diameter, fov_y_deg, square):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
-    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=diameter < 5.0)
+    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
     # All of whose filters lie on the square.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)

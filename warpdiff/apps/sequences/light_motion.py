@@ -1,0 +1,88 @@
+"""Lights that move: rotated about an axis through a point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.lights.directional import DirectionalLight
+from warpdiff.lights.environment import Environment, with_settings
+from warpdiff.lights.point import PointLight
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.lights.base import Light
+
+# Largest sine of the angle between an axis and the vertical for which skies rotate.
+_VERTICAL = 1e-6
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Rotation of lights.
+
+    Attributes:
+        axis: Unit vector along the axis, world frame.
+        angle: Angle, counter-clockwise as seen from the axis's tip [rad].
+        centre: Point on the axis, world frame.
+    """
+
+    axis: NDArray[np.float64]
+    angle: float
+    centre: NDArray[np.float64]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The matrix of the rotation about the origin (Rodrigues)."""
+        x, y, z = self.axis.tolist()
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(np.eye(3) + math.sin(self.angle) * cross + (1.0 - math.cos(self.angle)) * cross @ cross)
+
+    def rotated(self, lights: Sequence[Light]) -> tuple[Light, ...]:
+        """Return rotated lights: directions, positions, and skies, which rotate about +y only."""
+        if self.angle == 0.0:
+            return tuple(lights)
+        return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
+
+    def _rotated(self, light: Light, name: str) -> Light:
+        # A kind that is derived from one of these may have further directions, which would stay.
+        if type(light) is DirectionalLight:
+            return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
+        if type(light) is PointLight:
+            position = self.centre + self.matrix @ (np.array(light.position) - self.centre)
+            return replace(light, position=tuple(position.tolist()))
+        if type(light) is not Environment:
+            raise ArgumentValueError(
+                f"{ref(name)} must be a DirectionalLight, a PointLight or an Environment to be moved, got "
+                f"{type(light).__name__}; make warpdiff.Shot objects with the light of each frame"
+            )
+        if math.hypot(self.axis[0], self.axis[2]) > _VERTICAL:
+            raise ArgumentValueError(
+                f"{ref(name)} is an Environment, which rotates about +y only, got a rotation about "
+                f"{tuple(self.axis.round(3).tolist())}; take a view whose {ref('up')} is (0, 1, 0) and {ref('turns')}, "
+                "or let the light stay"
+            )
+        degrees = light.rotation_deg + math.copysign(1.0, self.axis[1]) * math.degrees(self.angle)
+        # The shots share the sky's maps.
+        return with_settings(light, math.remainder(degrees, 360.0), light.scale, light.directions)
+
+
+def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit vector from a point towards a light that leads a sweep."""
+    if isinstance(light, DirectionalLight):
+        return np.array(light.to_light)
+    if isinstance(light, PointLight):
+        offset = np.array(light.position) - centre
+        return np.asarray(validation.directions(offset, "lights[0].position - view.target")[0][0])
+    raise ArgumentValueError(
+        f"{ref('lights[0]')} must be a DirectionalLight or a PointLight, which has a direction that leads to "
+        f"{ref('to_light')}, got {type(light).__name__}; give {ref('turns')}"
+    )
