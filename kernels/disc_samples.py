@@ -34,7 +34,7 @@ def on_disc(point: wp.vec2f) -> wp.vec2f:
 @wp.kernel
 def draw_disc(
     # In:
-    lights: Lights, light_index: wp.int32, radius: wp.float32, lobe: wp.float32, pixels: Pixels,
+    lights: Lights, light_index: wp.int32, extent: wp.float32, lobe: wp.float32, pixels: Pixels,
     tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
     first: wp.int32, run: wp.int32,
     # Out:
@@ -43,9 +43,10 @@ def draw_disc(
     """Draw a direction to a disc light for each ray, even in solid angle, or near the direction of a mirror.
 
     Args:
-        lights: The lights; deviations are two vectors orthogonal to the direction to the disc's centre.
+        lights: The lights; deviations are those of the disc, half of its radius.
         light_index: The light.
-        radius: Angular radius that directions lie within [rad].
+        extent: Standard deviation of a sample's own directions, in radii of the disc, at most 0.5. Samples lie within a
+            smaller disc, so that together they have the variance of the disc.
         lobe: Standard deviation of the zeroth order in (u, v).
         pixels: Hits.
         tiles: As for ``sample_index``, like the next ones.
@@ -61,8 +62,10 @@ def draw_disc(
     axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
     tangent = wp.normalize(lights.deviations[light_index, 0])
     bitangent = wp.normalize(lights.deviations[light_index, 1])
+    radius = 2.0 * wp.length(lights.deviations[light_index, 0])
+    spread = wp.sqrt(lobe * lobe + extent * extent * radius * radius)
     # Equal areas in a plane are equal solid angles: the square of the distance there is 2 (1 − cos θ).
-    edge = 2.0 * wp.sin(0.5 * radius)
+    edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if pixels.hit[i] == 0:
@@ -72,11 +75,11 @@ def draw_disc(
         normal = pixels.normal[i]
         view = pixels.to_view[i]
         mirrored = 2.0 * wp.dot(normal, view) * normal - view
-        share = wp.where(wp.length(mirrored - axis) < edge + REACH * lobe, MIRROR_SHARE, 0.0)
+        share = wp.where(wp.length(mirrored - axis) < edge + REACH * spread, MIRROR_SHARE, 0.0)
         towards = wp.vec3f()
         if point[0] < share:
             # A Gaussian in (u, v), which is across the normal.
-            size = lobe * wp.sqrt(-2.0 * wp.log(1.0 - point[0] / share))
+            size = spread * wp.sqrt(-2.0 * wp.log(1.0 - point[0] / share))
             angle = wp.static(2.0 * math.pi) * point[1]
             across_normal = mirrored - wp.dot(mirrored, normal) * normal
             across_normal += size * (wp.cos(angle) * pixels.tangent[i] + wp.sin(angle) * pixels.bitangent[i])
@@ -94,8 +97,8 @@ def draw_disc(
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
             # Densities per area of the plane; those of (u, v) are per cosine.
-            of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (lobe * lobe)) * wp.dot(towards, normal)
-            of_mirror *= wp.static(0.5 / math.pi) / (lobe * lobe)
+            of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
+            of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)
             weight = even / (share * of_mirror + (1.0 - share) * even)
             if wp.length_sq(towards - axis) > edge * edge:

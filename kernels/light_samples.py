@@ -220,9 +220,10 @@ def add_light_extent(
 ):  # fmt: skip
     """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances.
 
-    These directions are those of the light, or have a standard deviation of ``extent`` around those that pixels have of
-    their own, ``towards``; empty is none.
+    These directions are those of the light, or a share ``extent`` of its radius, which is twice its deviations, around
+    those that pixels have of their own, ``towards``; empty is none.
     """
+    own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         footprint = footprints_out[i]
@@ -235,15 +236,15 @@ def add_light_extent(
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
                 # What is across a direction is all but what is along it.
-                x = wp.where(axis == 0, extent, 0.0)
-                y = wp.where(axis == 1, extent, 0.0)
+                x = wp.where(axis == 0, own, 0.0)
+                y = wp.where(axis == 1, own, 0.0)
             xx += x * x
             xy += x * y
             yy += y * y
         if towards.shape[0] > 0:
             direction = wp.vec3f(towards[i][0], towards[i][1], towards[i][2])
-            x = extent * wp.dot(direction, pixels.tangent[i])
-            y = extent * wp.dot(direction, pixels.bitangent[i])
+            x = own * wp.dot(direction, pixels.tangent[i])
+            y = own * wp.dot(direction, pixels.bitangent[i])
             xx -= x * x
             xy -= x * y
             yy -= y * y

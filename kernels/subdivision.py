@@ -131,14 +131,13 @@ def estimate_errors(
 
 
 @wp.func_native(
-    "warpdiff::splat_cells(colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, "
+    "warpdiff::splat_cells(colours, hit, pixels, colours_before, ranks, weights, level, is_base, is_sampled, "
     "begin, end, filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out);"
 )
 def splat_cells_run(
-    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, begin: wp.int32,
-    end: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), pixels: wp.array(dtype=wp.int32),
+    colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
+    level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, begin: wp.int32, end: wp.int32,
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
@@ -149,10 +148,9 @@ def splat_cells_run(
 @wp.kernel
 def splat_cells(
     # In:
-    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), gains: wp.array(dtype=wp.float32),
-    pixels: wp.array(dtype=wp.int32), colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32), level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, first: wp.int32,
-    run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), pixels: wp.array(dtype=wp.int32),
+    colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
+    level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, first: wp.int32, run: wp.int32,
     # Out:
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
@@ -163,7 +161,6 @@ def splat_cells(
     Args:
         colours: Colours of the cells, pixel after pixel and row by row.
         hit: Whether the cells hit the mesh.
-        gains: Geometry factors of the last lobe; 0 where the cells are not lit.
         pixels: The pixels; −1 is none.
         colours_before: Colours of the picture: by one ray per pixel, or resolved by an earlier group of tiles.
         ranks: By pixel of the picture, its index in the outputs; empty is its own number.
@@ -185,7 +182,7 @@ def splat_cells(
     thread, _ = wp.tid()
     begin = first + thread * run
     splat_cells_run(
-        colours, hit, gains, pixels, colours_before, ranks, weights, level, is_base, is_sampled, begin, begin + run,
+        colours, hit, pixels, colours_before, ranks, weights, level, is_base, is_sampled, begin, begin + run,
         filtered_sums_out, quadrants_out, changes_out, levels_out, lighting_out,
     )  # fmt: skip
 

@@ -54,9 +54,9 @@ struct CellSums {
 };
 
 // Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
-// `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
+// `is_sampled` tells whether colours are samples. `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
 WARPDIFF_INLINE CellSums sum_cells(
-    const float* colours, const int* hit, const float* gains, const float* along, int across)
+    const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
     CellSums sums;
     sums.across = across < BLOCKS ? across : BLOCKS;
@@ -66,9 +66,13 @@ WARPDIFF_INLINE CellSums sum_cells(
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
         for (int column = 0; column < across; ++column, ++cell) {
-            sums.lighting |= hit[cell] == 0 ? MISSED : gains[cell] > 0.0f ? LIT : UNLIT;
-            if (hit[cell] == 0) continue;
+            if (hit[cell] == 0) {
+                sums.lighting |= MISSED;
+                continue;
+            }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
+            // A sample that shows nothing does not tell that no other would.
+            sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const block = sums.blocks[row / per_block][column / per_block];
             for (int c = 0; c < 4; ++c) block[c] += value[c];
             for (int k = 0; k < 3; ++k)
@@ -84,7 +88,7 @@ WARPDIFF_INLINE CellSums sum_cells(
 // Splat pixels from begin to end of those that are split, −1 is none. How the cells scatter is written if they are
 // samples; otherwise at the base level the quadrants and the changes from the colours before.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
-WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Numbers& gains, const Hits& pixels,
+WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base,
     bool is_sampled, int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out, Bytes& levels_out,
     Bytes& lighting_out)
@@ -95,7 +99,7 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         if (pixel < 0) continue;
         const long long first = (long long)tile * across * across;
         const CellSums sums = sum_cells(numbers<const float>(colours) + 3 * first, numbers<const int>(hit) + first,
-            numbers<const float>(gains) + first, numbers<const float>(weights), across);
+            is_sampled, numbers<const float>(weights), across);
         const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
         memcpy(numbers<float>(filtered_sums_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;

@@ -28,7 +28,7 @@ SM = 90
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of functions alone are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "shading_frames", "structs"}
+FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
 # Numbers that hosts need, too.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
@@ -37,8 +37,9 @@ KERNELS = {
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
                       "add_light_rotation", "add_light_extent"},
+    "disc_samples": {"draw_disc"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
-    "subdivision": {"accumulate", "add_occluded_power", "add_penumbra_error", "select_levels",
+    "subdivision": {"accumulate", "select_levels",
                     "raise_levels", "resolve_pixels", "estimate_errors", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
     "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_level", "dilate_marks",

@@ -59,7 +59,8 @@ def test_a_lights_extent_adds_its_covariance(rng):
     lights.deviations = array(deviations, wp.vec3f)
     footprints = rng.normal(size=(COUNT, 4))
     result = array(footprints, Footprint)
-    wp.launch(light_samples.add_light_extent, (2, 1), [lights, 1, pixels, 0, COUNT // 2], [result], device="cpu")
+    inputs = [lights, 1, array([], wp.vec4f), 0.0, pixels, 0, COUNT // 2]
+    wp.launch(light_samples.add_light_extent, (2, 1), inputs, [result], device="cpu")
 
     def covariances(values):
         changes = values.reshape(-1, 2, 2)

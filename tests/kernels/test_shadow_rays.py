@@ -84,8 +84,8 @@ def occluded(grid, light, origins, threads=1):
     result = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
     launch(
-        trace_shadow_rays, len(origins), [grid, places, 0, pixels], [result], device=device, threads=threads,
-        in_runs=True,
+        trace_shadow_rays, len(origins), [grid, places, 0, wp.empty(0, dtype=wp.vec4f, device=device), pixels], [result],
+        device=device, threads=threads, in_runs=True,
     )  # fmt: skip
     return result.numpy()
 

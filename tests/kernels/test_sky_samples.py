@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from conftest import hemisphere
 
-from warpdiff.kernels import sky_samples
+from warpdiff.kernels import sample_sequence, sky_samples
 from warpdiff.kernels.light_samples import Reflection
 from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
@@ -28,8 +28,8 @@ def call_functions(
     gains: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     i = wp.tid()
-    points[i] = sky_samples.sample_point(wp.uint32(i), sky_samples.ORDER_SEED, sky_samples.SEED_X, sky_samples.SEED_Y)
-    indices[i] = sky_samples.morton_index(i % 128, i // 128)
+    points[i] = sample_sequence.light_point(wp.uint32(i))
+    indices[i] = sample_sequence.morton_index(i % 128, i // 128)
     drawn_uv[i] = sky_samples.draw_uv(table, points[i])
     uv_densities[i] = sky_samples.density_of_uv(table, drawn_uv[i])
     drawn[i] = sky_samples.draw_direction(table, sky, points[i])

@@ -27,13 +27,15 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
         changes = wp.zeros(9, dtype=wp.float32, device="cpu")
         levels, lighting = (wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))
         inputs = [
-            array(colours, wp.vec3f), array(hit, wp.int32), array(gains, wp.float32), array([5], wp.int32),
+            array(colours * gains[:, None], wp.vec3f), array(hit, wp.int32), array([5], wp.int32),
             array(before, wp.vec3f), array([], wp.int32), array(weights.ravel(), wp.float32), level, is_base, False,
             0, 1,
         ]  # fmt: skip
         outputs = [sums, quadrants, changes, levels, lighting]
         wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
-        values = (np.column_stack([colours, np.ones(across**2)]) * hit[:, None]).reshape(across, across, 4)
+        values = (np.column_stack([colours * gains[:, None], np.ones(across**2)]) * hit[:, None]).reshape(
+            across, across, 4
+        )
         expected = np.einsum("ir,jc,rcx->ijx", weights, weights, values)
         np.testing.assert_allclose(sums.numpy()[5], expected.reshape(9, 4), rtol=1e-5)
         half = across // 2
@@ -53,8 +55,7 @@ def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
     hit[: across // 4, : across // 4] = False
     changes = wp.zeros(9, dtype=wp.float32, device="cpu")
     inputs = [
-        array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array(hit.ravel(), wp.float32),
-        array([5], wp.int32), array(np.zeros((9, 3)), wp.vec3f), array([], wp.int32),
+        array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array([5], wp.int32), array(np.zeros((9, 3)), wp.vec3f), array([], wp.int32),
         array(np.ones(3 * across), wp.float32), level, level == 2, True, 0, 1,
     ]  # fmt: skip
     unread = [wp.zeros((9, size), dtype=dtype, device="cpu") for size, dtype in ((9, wp.vec4f), (4, wp.vec3f))]

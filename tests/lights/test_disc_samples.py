@@ -72,7 +72,7 @@ def drawn_towards(diameter, *, normal, view, lobe):
     pixels.normal, pixels.to_view = repeated(normal), repeated(view)
     towards = wp.zeros(count, dtype=wp.vec4f, device="cpu")
     tiles = wp.array([5], dtype=wp.int32, device="cpu")
-    inputs = [lights, 0, math.radians(diameter / 2.0), lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
+    inputs = [lights, 0, 0.0, lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
     wp.launch(draw_disc, (1, 1), inputs, [towards], device="cpu")
     return towards.numpy()
 

@@ -60,7 +60,7 @@ def kernel_gain(lights, views, normal, masking, device):
     found = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
-        inputs = [pixels, given, i, reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
+        inputs = [pixels, given, i, array([], wp.vec4f), reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
         wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)

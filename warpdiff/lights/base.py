@@ -114,23 +114,12 @@ class LobeSet(LightPart):
 
 
 @dataclass(frozen=True, eq=False)
-class DiscPart(LightPart):
-    """A disc light whose directions are sampled.
-
-    Attributes:
-        lobe: The lobe with the mean and the variance of the disc.
-        radius: Angular radius [rad].
-    """
-
-    lobe: Lobe
-    radius: float
-    has_lobes = True
-    has_extent = True
-    sample_count = DISC_SAMPLES
+class DiscPart(LobeSet):
+    """A disc light whose directions are sampled; its only lobe has the mean and the variance of the disc."""
 
     def __post_init__(self) -> None:
-        # Frozen: this follows from the lobe.
-        vars(self).update(spectra=(self.lobe.illuminant,))
+        super().__post_init__()
+        vars(self).update(sample_count=DISC_SAMPLES)
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass of a disc."""

@@ -57,17 +57,13 @@ class DirectionalLight(Checked, LobeLight):
         """Return the light as one lobe, whose mean and variance are those of the disc."""
         if self.angular_diameter_deg == 0.0:
             return Lobe(self.to_light, self.illuminant, self.power)
-        deviations = 0.5 * self._radius * orthonormal_pair(np.asarray(self.to_light))
+        radius = math.radians(self.angular_diameter_deg / 2.0)
+        deviations = 0.5 * radius * orthonormal_pair(np.asarray(self.to_light))
         return Lobe(self.to_light, self.illuminant, self.power, deviations)
-
-    @property
-    def _radius(self) -> float:
-        """Angular radius [rad]."""
-        return math.radians(self.angular_diameter_deg / 2.0)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
         """Return one lobe, or a disc whose directions are sampled: see :class:`warpdiff.lights.base.Light`."""
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
             return super().parts(coherence, single_lobe=single_lobe, name=name)
         check_illuminant(self.illuminant, f"{name}.illuminant")
-        return [DiscPart(self.lobe(), self._radius)]
+        return [DiscPart((self.lobe(),))]

@@ -121,7 +121,7 @@ class LightRefinement:
         sampling = Sampling()
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
-            batch.xyz, batch.gbuffer.pixels.hit, batch.samples.gains, buffers.tiles[level], self.sums.xyz, sums.ranks,
+            batch.xyz, batch.gbuffer.pixels.hit, buffers.tiles[level], self.sums.xyz, sums.ranks,
             pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
             level == self.policy.base_level, self.policy.is_sampled,
         ]  # fmt: skip

@@ -155,7 +155,7 @@ def test_frames_under_every_kind_of_light_are_those_of_shade(tmp_path):
             exact = wd.shade(body, heightfield, shot.lights, shot.view, plan=renderer.plan, **options)
             exact.save(tmp_path / "exact.exr", exposure=1e-2)
             assert path.read_bytes() == (tmp_path / "exact.exr").read_bytes()
-    assert turning[1].lights[0]._maps is sweeping[1].lights[0]._maps
+    assert turning[1].lights[0]._grid is sweeping[1].lights[0]._grid
     job = frames.FrameJob("key", (".exr",), {".exr": {"exposure": 1e-2}})
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
