@@ -83,10 +83,8 @@ def occluded(grid, light, origins, threads=1):
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
     result = wp.empty(len(origins), dtype=wp.bool, device="cpu")
     device = wp.get_device("cpu")
-    launch(
-        trace_shadow_rays, len(origins), [grid, places, 0, wp.empty(0, dtype=wp.vec4f, device=device), pixels], [result],
-        device=device, threads=threads, in_runs=True,
-    )  # fmt: skip
+    inputs = [grid, places, 0, wp.empty(0, dtype=wp.vec4f, device=device), pixels]
+    launch(trace_shadow_rays, len(origins), inputs, [result], device=device, threads=threads, in_runs=True)
     return result.numpy()
 
 

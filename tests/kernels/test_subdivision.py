@@ -55,8 +55,9 @@ def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
     hit[: across // 4, : across // 4] = False
     changes = wp.zeros(9, dtype=wp.float32, device="cpu")
     inputs = [
-        array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array([5], wp.int32), array(np.zeros((9, 3)), wp.vec3f), array([], wp.int32),
-        array(np.ones(3 * across), wp.float32), level, level == 2, True, 0, 1,
+        array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array([5], wp.int32),
+        array(np.zeros((9, 3)), wp.vec3f), array([], wp.int32), array(np.ones(3 * across), wp.float32), level,
+        level == 2, True, 0, 1,
     ]  # fmt: skip
     unread = [wp.zeros((9, size), dtype=dtype, device="cpu") for size, dtype in ((9, wp.vec4f), (4, wp.vec3f))]
     outputs = [*unread, changes, *(wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))]
