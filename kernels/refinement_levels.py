@@ -32,7 +32,7 @@ CAUTION, EDGE_FACTOR = 2.0, 1.5
 # squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # The error of a mean over samples is taken to be so many of its standard deviations.
-SCATTER_FACTOR = 1.4
+SCATTER_FACTOR = 1.5
 # Share of the illuminated pixels that are brighter than Y*; errors are relative to at least FLOOR · Y*. Reported
 # errors use the median of Y, weighted by Y, where it is larger. Refinement does not, and is at least as strict.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
