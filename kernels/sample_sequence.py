@@ -16,7 +16,6 @@ SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(w
 # Even factors of the hash.
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
-ORDER_SEED_OF_CHOICE, SEED_CHOICE = wp.constant(wp.uint32(0x2545F491)), wp.constant(wp.uint32(0x51ED270B))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
 
 
@@ -121,9 +120,3 @@ def light_point(index: wp.uint32) -> wp.vec2f:
 def filter_point(index: wp.uint32) -> wp.vec2f:
     """The numbers that choose a place within the filter."""
     return sample_point(index, ORDER_SEED_OF_FILTER, SEED_FILTER_X, SEED_FILTER_Y)
-
-
-@wp.func
-def choice_number(index: wp.uint32) -> wp.float32:
-    """A number that chooses among candidates, in [0, 1)."""
-    return sample_point(index, ORDER_SEED_OF_CHOICE, SEED_CHOICE, SEED_CHOICE)[0]

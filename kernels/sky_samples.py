@@ -11,17 +11,13 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
-from warpdiff.kernels.sample_sequence import choice_number, filter_point, light_point, sample_index
+from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
 
-LEAST_LIGHT = wp.constant(wp.float32(math.sqrt(thresholds.HORIZON**2 + 1.0e-6)))
-TINY = wp.constant(wp.float32(1.0e-30))
-# Candidates of a sample.
-CANDIDATES_COUNT = 2
-CANDIDATES = wp.constant(CANDIDATES_COUNT)
+LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 
 @wp.struct
@@ -46,7 +42,6 @@ class SkyDistribution:
     row_cdf: wp.array(dtype=wp.float32)  # of blocks
     column_cdf: wp.array2d(dtype=wp.float32)  # within the row
     block_densities: wp.array2d(dtype=wp.float32)  # per solid angle
-    power: wp.float32  # what densities over (u, v) are multiplied by for the surface's X + Y + Z
     sky_share: wp.float32  # of samples that are drawn from blocks
 
 
@@ -254,8 +249,8 @@ def sample_sky(
             to_lights_out[i] = wp.vec3f()
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
+        point = light_point(index)
         within = filter_point(index)
-        choice = choice_number(index)
         # A place within the filter (Box and Muller), where the normal is turned: (u, v) of light by way of a mirror
         # moves by 2 cos θ times as much.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
@@ -275,80 +270,46 @@ def sample_sky(
             bitangent = -bitangent
         cosine = wp.max(wp.dot(normal, towards), LEAST_COSINE)
         view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), cosine))
-        material = wp.int32(0)
-        if reflection.materials.shape[0] > 0:
-            material = reflection.materials[pixels.face[i]]
-        base = wp.vec3f()
-        if pigment > 0.0:
-            base = pigment * wp.cw_mul(pixels.base_colour[i], transmittance(reflection, material, view[2]))
-        # One of several candidates is chosen in proportion to what it is expected to send, without its shadow ray and
-        # its colours (Talbot, Cline and Egbert, Importance resampling for global illumination, 2005).
         uv = wp.vec2f()
-        light = wp.vec3f(0.0, 0.0, 1.0)
+        light = wp.vec3f()
         along = wp.vec3f()
-        rgb = wp.vec3f()
-        gain = wp.float32(0.0)
-        sent = wp.float32(0.0)
-        total = wp.float32(0.0)
-        for candidate in range(CANDIDATES):
-            point = light_point(index * wp.uint32(CANDIDATES) + wp.uint32(candidate))
-            uv_there = wp.vec2f()
-            light_there = wp.vec3f()
-            along_there = wp.vec3f()
-            if point[0] < table.sky_share:
-                along_there = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
-                light_there = wp.vec3f(
-                    wp.dot(tangent, along_there), wp.dot(bitangent, along_there), wp.dot(normal, along_there)
-                )
-                uv_there = wp.vec2f(-light_there[0] - view[0], -light_there[1] - view[1])
-            else:
-                place_there = wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1])
-                uv_there = draw_uv(table, place_there)
-                x = -uv_there[0] - view[0]
-                y = -uv_there[1] - view[1]
-                light_there = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
-                along_there = wp.normalize(x * tangent + y * bitangent + light_there[2] * normal)
-            if light_there[2] < LEAST_LIGHT:
-                continue
-            # dω is du dv over the cosine.
-            place = place_in_sky(sky, along_there)
-            of_surface = density_of_uv(table, uv_there)
-            density = (1.0 - table.sky_share) * of_surface
-            density += table.sky_share * density_of_direction(table, place) / light_there[2]
-            if density <= 0.0:
-                continue
-            rgb_there = power_at(sky, place)
-            gain_there = gain_over_cosine(reflection, uv_there, light_there, view)
-            sent_there = gain_there * table.power * of_surface + base[0] + base[1] + base[2]
-            sent_there *= rgb_there[0] + rgb_there[1] + rgb_there[2]
-            total += sent_there / density
-            share = sent_there / (density * wp.max(total, TINY))
-            if choice < share:
-                choice = choice / share
-                uv = uv_there
-                light = light_there
-                along = along_there
-                rgb = rgb_there
-                gain = gain_there
-                sent = sent_there
-            else:
-                choice = (choice - share) / (1.0 - share)
+        if point[0] < table.sky_share:
+            along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
+            light = wp.vec3f(wp.dot(tangent, along), wp.dot(bitangent, along), wp.dot(normal, along))
+            uv = wp.vec2f(-light[0] - view[0], -light[1] - view[1])
+        else:
+            uv = draw_uv(table, wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1]))
+            x = -uv[0] - view[0]
+            y = -uv[1] - view[1]
+            light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
+            along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
         scattering_vectors_out[i] = wp.vec3d(wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2]))
         to_lights_out[i] = light
-        if sent <= 0.0:
+        if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:
+            continue
+        # dω is du dv over the cosine.
+        place = place_in_sky(sky, along)
+        density = (1.0 - table.sky_share) * density_of_uv(table, uv)
+        density += table.sky_share * density_of_direction(table, place) / light[2]
+        if density <= 0.0:
             continue
         if shadows:
             if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
                 continue
-        rgb *= weight * total / (wp.static(float(CANDIDATES_COUNT)) * sent)
+        rgb = (weight / density) * power_at(sky, place)
+        gain = gain_over_cosine(reflection, uv, light, view)
         for spectrum in range(3):
             gains_out[spectrum, i] = gain * rgb[spectrum]
         if illuminated_out.shape[0] > 0:
             illuminated_out[i] = True
         if pigment > 0.0:
+            material = wp.int32(0)
+            if reflection.materials.shape[0] > 0:
+                material = reflection.materials[pixels.face[i]]
+            into = transmittance(reflection, material, light[2])
+            base = wp.cw_mul(wp.cw_mul(pixels.base_colour[i], into), transmittance(reflection, material, view[2]))
             white = wp.vec3f()
             for spectrum in range(3):
                 for channel in range(3):
                     white[channel] = white[channel] + rgb[spectrum] * sky.whites[spectrum, channel]
-            under = wp.cw_mul(base, transmittance(reflection, material, light[2]))
-            xyz_out[i] = xyz_out[i] + wp.vec3f(lights.rgb_to_xyz * wp.vec3d(wp.cw_mul(under, white)))
+            xyz_out[i] = xyz_out[i] + wp.vec3f(lights.rgb_to_xyz * wp.vec3d(pigment * wp.cw_mul(base, white)))

@@ -240,13 +240,14 @@ def test_a_window_on_a_tube_is_that_of_sums_over_directions():
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]
     grey = np.where((np.abs(along[..., 1] - 0.3) < 0.25) & (along[..., 0] > 0.4), 2.5, 0.03)
-    sums = SkySums(wd.meshes.tube(), heightfield, view, window)
-    pixels = sums.interior()[::3]
-    assert len(pixels) > 15
-    exact = sums.under_sky(pixels, grey, 9, 1)
+    sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
+    pixels = sums.interior()[::9]
+    assert len(pixels) > 6
+    # Their own noise is 2 %.
+    exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
-    for refine, median, most in ((False, 0.03, 0.2), (True, 0.06, 0.15)):
+    for refine, median, most in ((False, 0.04, 0.2), (True, 0.06, 0.15)):
         found = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
         at = pixels[:, 0], pixels[:, 1]
         away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)

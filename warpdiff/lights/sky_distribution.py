@@ -60,15 +60,7 @@ def distribution_for(
     key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
-    (
-        result.ring_cdf,
-        result.starts,
-        result.spoke_cdf,
-        result.densities,
-        result.least_log,
-        result.per_log,
-        result.power,
-    ) = of_surface
+    result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
     result.row_cdf, result.column_cdf, result.block_densities = blocks
     result.sky_share = sky_share
     return result
@@ -104,7 +96,7 @@ def _of_surface(lookup: ColourLookup, illuminated: Sequence[Sequence[Illuminated
     arrays = share_of_rings.cumsum(), starts, cumulative / of_rings[ring], probability / size
     types = wp.float32, wp.int32, wp.float32, wp.float32
     uploaded = [wp.array(values, dtype=dtype, device=device) for values, dtype in zip(arrays, types, strict=True)]
-    return *uploaded, math.log(least), per_log, float(of_rings.sum())
+    return *uploaded, math.log(least), per_log
 
 
 def _luminances(
