@@ -1,7 +1,7 @@
-"""Disc lights and environments: pictures against sums over directions.
+"""Disc lights and environments: pictures against sums over directions, with shadows.
 
-``--sizes`` compares disc lights in random cases with sums over points of their discs. ``--skies`` compares environments
-with sums over at least 16 times as many directions, which share no code with them (``bench/truth/sky_sums.py``).
+``--sizes`` compares disc lights in random cases with sums over points of their discs, and ``--skies`` environments with
+sums over directions, which share no code with them (``bench/truth/sky_sums.py``).
 ``--picture`` saves the README's snake under a sky.
 """
 
@@ -111,9 +111,9 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """Print errors of disc lights ("light") or environments ("sky") in random cases against sums over directions.
 
-    There are ``across``² rays per pixel or more. Further columns are the error of the sums, ``image.error`` at the same
-    percentiles, the number of pixels beyond the tolerance for which ``image.error`` exceeds it, too, and the time of a
-    frame.
+    There are (32 ``across``)² rays per pixel or more. Further columns are the error of the sums, ``image.error`` at the
+    same percentiles, the number of pixels beyond the tolerance for which ``image.error`` exceeds it, too, and the time
+    of a frame.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))
@@ -124,7 +124,8 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
         inside = rng.permutation(sums.interior())[:pixels]
         if kind == "sky":
             options["lights"] = wd.Environment(np.repeat(grey[..., None], 3, axis=2))
-            _judge(name, inside, functools.partial(sums.under_sky, sky=grey), across, seed, tolerances, options=options)
+            summed = functools.partial(sums.under_sky, sky=grey)
+            _judge(name, inside, summed, 32 * across, seed, tolerances, options=options)
             continue
         # Light from near the eye, or from the side.
         towards = np.asarray(view.eye) - np.asarray(view.target)
@@ -154,7 +155,7 @@ def _judge(
     exact, at = exact[converged], tuple(chosen[converged].T)
     for tolerance in tolerances:
         begin = time.perf_counter()
-        image = wd.shade(**options, tolerance=tolerance, pigment=0.0, shadows=False, strict=False)
+        image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         took = time.perf_counter() - begin
         # The chosen pixels may all be darker than the luminance that the picture's tolerance is relative to.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
@@ -204,7 +205,7 @@ def main() -> int:
     parser.add_argument("--picture", metavar="FILE", help="save a snake under a sky")
     parser.add_argument("--seed", type=int, default=0, help="random seed of --sizes and --skies (0)")
     parser.add_argument("--pixels", type=int, default=150, help="number of pixels per case (150)")
-    parser.add_argument("--across", type=int, default=3, help="rays along a side of a pixel (3)")
+    parser.add_argument("--across", type=int, default=3, help="a 32nd of the rays along a side of a pixel (3)")
     parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of pictures (0.1 0.03)")
     options = parser.parse_args()
     if options.picture:

@@ -1,0 +1,162 @@
+"""Skies, discs and many lights on scenes where a body hides parts of itself: errors, and times in directional lights.
+
+Each row is a scene, a surface and a light, such as ``whole_scan_sun``: errors of a picture in tolerances against sums
+over directions with shadows (``bench/truth/sky_sums.py``), processor time over that of one directional light, how many
+pixels err by more than the tolerance, and how many of these ``image.error`` reports. ``lights`` rows, such as
+``tube_scan_16lights``, are judged by the sum of single pictures at an eighth of the tolerance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import trimesh
+
+import warpdiff as wd
+from bench import inputs
+from bench.reproduce.lights import converged_means, distances, sky
+from bench.truth.sky_sums import SkySums
+
+SIZE = {"width": 240, "height": 130}
+TOWARDS = (0.6, 1.0, -0.1)
+CASES = [
+    *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
+    *(f"{scene}_scan_{light}" for scene in ("whole", "close", "tube", "plate") for light in ("3", "10")),
+    "tube_scan_30", "tube_fingers_3", "tube_fingers_10", "tube_scan_16lights", "close_scan_16lights",
+]  # fmt: skip
+
+
+def plate() -> trimesh.Trimesh:
+    """Return a plate over a floor, which it shadows."""
+    parts = []
+    for half, height in ((1.0, 0.0), (0.3, 0.4)):
+        corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=float)
+        vertices = np.column_stack([half * corners[:, 0], np.full(4, height), half * corners[:, 1]])
+        uv = 0.5 + 0.5 * corners
+        visual = trimesh.visual.TextureVisuals(uv=uv)
+        parts.append(trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
+    return trimesh.util.concatenate(parts)
+
+
+def room() -> np.ndarray:
+    """Return a dark room with three windows and lamps, which differ in colour and brightness."""
+    height = 128
+    elevation = 90.0 - (np.arange(height)[:, None] + 0.5) * 180.0 / height
+    around = (np.arange(2 * height) + 0.5) * 180.0 / height
+    result = (
+        np.where(elevation < -50.0, 0.07, 0.03)[..., None] * np.array([1.0, 0.9, 0.8]) * np.ones((1, 2 * height, 1))
+    )
+    for azimuth, middle, width, tall, rgb in (
+        (40.0, 25.0, 15.0, 12.0, (3.0, 3.2, 4.0)), (150.0, 10.0, 8.0, 14.0, (2.0, 2.1, 2.6)),
+        (260.0, 55.0, 5.0, 5.0, (9.0, 6.0, 3.0)),
+    ):  # fmt: skip
+        away = (around - azimuth + 180.0) % 360.0 - 180.0
+        inside = (np.abs(elevation - middle) < tall) & (np.abs(away) < width)
+        result = np.where(inside[..., None], np.array(rgb), result)
+    return result
+
+
+SCENES: dict[str, tuple[Any, wd.View]] = {
+    "whole": (wd.meshes.snake, wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=13, **SIZE)),
+    "close": (wd.meshes.snake, wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=3.5, **SIZE)),
+    "coils": (wd.meshes.snake, wd.View((-1.2, 2.6, 2.6), (-0.1, 0.02, 0.12), fov_y_deg=2.5, **SIZE)),
+    "tube": (wd.meshes.tube, wd.View((0, 1.5, 4), (0, 0, 0), fov_y_deg=14, **SIZE)),
+    "plate": (plate, wd.View((0, 2.2, 2.4), (-0.1, 0.1, 0), fov_y_deg=34, width=160, height=120)),
+}
+SKIES: dict[str, Any] = {"sun": lambda: sky(4.0, 128), "nosun": lambda: sky(0.0, 128), "room": room}
+
+
+def many_lights(count: int) -> list[wd.DirectionalLight]:
+    """Return lights that are evenly spread over the upper hemisphere."""
+    index = np.arange(count) + 0.5
+    up, turn = 0.05 + 0.95 * index / count, index * np.pi * (3.0 - np.sqrt(5.0))
+    level = np.sqrt(1.0 - up**2)
+    return [wd.DirectionalLight(each) for each in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)]
+
+
+def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
+    """Print a row."""
+    scene, surface, name = case.split("_")
+    make, view = SCENES[scene]
+    body, window = make(), wd.Coherence(sigma_um=16.25 if surface == "scan" else 8.0)
+    heightfield = inputs.levelled_scan() if surface == "scan" else wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
+    if heightfield is None:
+        print(f"| {case} | the scan is not in the folder of WARPDIFF_DATA |" + 7 * " |")
+        return
+    lights: list[Any]
+    if name in SKIES:
+        lights = [wd.Environment(SKIES[name]())]
+    elif name.endswith("lights"):
+        lights = many_lights(int(name.removesuffix("lights")))
+    else:
+        lights = [
+            wd.DirectionalLight(TOWARDS if scene != "plate" else (0.5, 1.0, -0.6), angular_diameter_deg=float(name))
+        ]
+    options: dict[str, Any] = {"coherence": window, "tolerance": tolerance, "pigment": 0.0, "strict": False}
+    renderer = wd.Renderer(body, heightfield, lights, view, **options)
+    one = wd.Renderer(body, heightfield, wd.DirectionalLight(TOWARDS), view, **options)
+    ratios = []
+    for _ in range(3):
+        took = []
+        for each in (one, renderer):
+            begin = time.process_time()
+            each.draw()
+            took.append(time.process_time() - begin)
+        ratios.append(took[1] / took[0])
+    image = renderer.image()
+    if name.endswith("lights"):
+        fine = wd.Renderer(body, heightfield, lights[0], view, plan=replace(renderer.plan, tolerance=tolerance / 8.0),
+                           pigment=0.0)  # fmt: skip
+        total = np.zeros(image.xyz.shape)
+        for light in lights:
+            fine.draw(light)
+            total += fine.image().xyz
+        places = np.argwhere(image.illuminated & (image.coverage > 0.999))
+        exact = total[tuple(places.T)]
+        settled = np.ones(len(exact), dtype=bool)
+    else:
+        sums = SkySums(body, heightfield, view, window)
+        places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
+
+        def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:
+            if name in SKIES:
+                return sums.under_sky(chosen, SKIES[name](), across, seed)
+            return sums.under_disc(chosen, lights[0], across, seed)
+
+        exact, spread, _ = converged_means(summed, places, across, 0, tolerance / 3.0)
+        settled = (spread < tolerance / 3.0) & (exact[:, 1] > 0.0)
+    at = tuple(places[settled].T)
+    bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
+    errors = distances(image.xyz[at], exact[settled], bright) / tolerance
+    told = image.error[at] / tolerance
+    p50, p90, p99 = np.percentile(errors, [50.0, 90.0, 99.0])
+    share = image.xyz[at][:, 1].sum() / exact[settled][:, 1].sum()
+    print(
+        f"| {case} | {settled.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
+        f"{share:.3f} | {np.count_nonzero(errors > 1.0)} | {np.count_nonzero(told[errors > 1.0] > 1.0)} | "
+        f"{np.mean(errors <= told):.2f} |", flush=True,
+    )  # fmt: skip
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="+", default=CASES, metavar="SCENE_SURFACE_LIGHT", help="rows (all)")
+    parser.add_argument("--tolerance", type=float, default=1e-1, help="of pictures (0.1)")
+    parser.add_argument("--pixels", type=int, default=100, help="number of pixels per row (100)")
+    parser.add_argument("--across", type=int, default=128, help="rays along a side of a pixel (128)")
+    options = parser.parse_args()
+    print("| case | pixels | time | P50 / P90 / P99 | sum of Y | wrong | reported | bounded |\n" + 8 * "| --- " + "|")
+    for case in options.cases:
+        judge(case, tolerance=options.tolerance, pixels=options.pixels, across=options.across)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
