@@ -300,7 +300,7 @@ def sample_sky(
         gain = gain_over_cosine(reflection, uv, light, view)
         for spectrum in range(3):
             gains_out[spectrum, i] = gain * rgb[spectrum]
-        if illuminated_out.shape[0] > 0:
+        if illuminated_out.shape[0] > 0 and rgb[0] + rgb[1] + rgb[2] > 0.0:
             illuminated_out[i] = True
         if pigment > 0.0:
             material = wp.int32(0)

@@ -319,3 +319,18 @@ def test_an_environment_keeps_few_parts_and_its_copies_none():
     np.testing.assert_array_equal(parts(copied, 8.0)[0].grid.powers, first[0].grid.powers)
     assert repr(copied) == "Environment(16 × 32 pixels, rotation_deg=0, scale=1, directions=16)"
     assert copied != sky
+
+
+@pytest.mark.parametrize("light", ["sky", "disc"])
+def test_more_rays_of_a_pixel_share_its_samples(light, square):
+    """Unrefined cells together draw as many directions as a single ray does, so that they are no worse."""
+    flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
+    lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
+    if light == "sky":
+        lights = wd.Environment(np.repeat(1.0 + 0.8 * middles(16)[0][..., 1:2], 3, axis=2), directions=256)
+    spread = []
+    for samples in (1, 4, 64):
+        image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
+        spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
+    # The more samples, the less each of a disc is blurred.
+    assert max(spread[1:]) < 2.0 * spread[0]

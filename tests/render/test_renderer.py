@@ -176,6 +176,30 @@ def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
     assert len(recorded) == 1
 
 
+SAMPLED = {
+    "disc": DISC, "sky": wd.Environment(np.ones((8, 16, 3)) * np.linspace(2.0, 0.1, 8)[:, None, None]),
+    "clear sky": wd.Environment.clear_sky((0.3, 0.8, 0.5)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+@pytest.mark.parametrize("together", [True, False])
+def test_sampled_lights_follow_others_as_shade_draws_them(name, together, tube, fingers, plans, monkeypatch):
+    """The first light of a recorded picture takes no samples; so do the arrays of the next ones."""
+    monkeypatch.setattr(renderer, "records", lambda _: True)
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
+    lights = [LIGHTS[0], SAMPLED[name]] if together else [SAMPLED[name]]
+    size, plan = (16, 12), dataclasses.replace(plans["footprints"], tolerance=0.2)
+    drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(size=size), plan=plan, threads=1)
+    drawn.draw(lights)
+    found, expected = drawn.image(), wd.shade(tube, fingers, lights, view(size=size), plan=plan)
+    same_places = found.illuminated & expected.illuminated
+    assert same_places.sum() > 20
+    size = np.linalg.norm(expected.xyz[same_places], axis=1)
+    differ = np.linalg.norm(found.xyz - expected.xyz, axis=2)[same_places] / size
+    assert np.percentile(differ, 90.0) < 0.1 * plan.tolerance
+
+
 def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
     before = drawn.image()

@@ -51,25 +51,28 @@ class DiscPass(LobePass):
         """Some of the samples, so that a plan's sample has many pixels."""
         return range(_MEASURED)
 
-    @property
-    def cell_lobes(self) -> range:
-        """One sample of each cell."""
-        return range(1)
+    def cell_lobes(self, level: int) -> range:
+        """Return one sample of each cell of refined pictures, otherwise the samples of a ray, shared by its cells."""
+        return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
         """Make no grid, as each ray has a direction of its own: all ask the hierarchy."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
+    def _samples(self, batch: RayBatch) -> int:
+        """Return the number of samples of each ray."""
+        return len(self.cell_lobes(batch.level)) if batch.level else self.part.sample_count
+
     def _extent(self, batch: RayBatch) -> float:
         """Return the standard deviation of a sample's directions, in radii of the disc."""
-        samples = _COVERED_PIXELS * rays_at(batch.level) if batch.level else self.part.sample_count
-        return min(_EXTENT / math.sqrt(samples), _MOST_EXTENT)
+        rays = _COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0
+        return min(_EXTENT / math.sqrt(rays * self._samples(batch)), _MOST_EXTENT)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the calls that draw a direction for each ray, and find its occlusion and scattering vector."""
         if lobe == self.part.sample_count:
             return super().scatter(0, batch, counting)
-        samples = 1 if batch.level else self.part.sample_count
+        samples = self._samples(batch)
         inputs = [
             self._lights, 0, self._extent(batch), self._lobe, batch.gbuffer.pixels, batch.tiles,
             self.context.rays.width, 1 << batch.level, lobe, samples,

@@ -252,9 +252,8 @@ class LightPass(ABC):
         """The lobes whose directions a plan is for."""
         return range(self.lobe_count)
 
-    @property
-    def cell_lobes(self) -> range:
-        """The lobes that cells take."""
+    def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of sampled lights)
+        """Return the lobes that the cells of a level take."""
         return range(self.lobe_count)
 
     @property
@@ -293,7 +292,7 @@ class LightPass(ABC):
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the colours of all lobes to a batch of cells."""
         calls = []
-        for lobe in self.cell_lobes:
+        for lobe in self.cell_lobes(batch.level):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 

@@ -10,6 +10,7 @@ import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples, sky_samples
+from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
 
@@ -52,10 +53,9 @@ class SkyPass(LightPass):
         """The samples of the pixels' own rays, which are few where cells follow."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
 
-    @property
-    def cell_lobes(self) -> range:
-        """One sample of each cell."""
-        return range(1)
+    def cell_lobes(self, level: int) -> range:
+        """Return one sample of each cell of refined pictures, otherwise the samples of a ray, shared by its cells."""
+        return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
@@ -88,7 +88,7 @@ class SkyPass(LightPass):
         """Return the calls that draw a direction for each ray of a batch, and add its colours."""
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
-        count = len(self.cell_lobes) if batch.level else len(self.first_lobes)
+        count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
         share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
         table = sky_distribution.distribution_for(lookup, self.illuminated[0], self._blocks, sky_share=share)
         mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0

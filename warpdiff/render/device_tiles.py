@@ -46,7 +46,9 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        self._buffers = TileBuffers.allocate(ray_count, kind=light.buffer_kind, device=device)
+        # The next light of the picture, or of the next one, may be sampled.
+        kind = light.buffer_kind._replace(is_sampled=True)
+        self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
     @property
     def count(self) -> int:
