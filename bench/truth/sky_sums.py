@@ -104,7 +104,14 @@ class SkySums:
             return np.where(along @ axis >= narrowest * (1.0 - 1e-12), 1.0 / solid_angle, 0.0)
 
         def colours(lights: NDArray[Any], views: NDArray[Any], along: NDArray[Any]) -> NDArray[Any]:
-            rho = wd.reflectance(self._heightfield, lights, views, coherence=self._coherence, plan=self._plan)
+            rho = wd.reflectance(
+                self._heightfield,
+                lights,
+                views,
+                illuminant=light.illuminant,
+                coherence=self._coherence,
+                plan=self._plan,
+            )
             return np.asarray(density(along)[:, None] * rho)
 
         return light.power * self._sums(pixels, draw, density, colours, across, seed)
