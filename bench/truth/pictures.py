@@ -24,16 +24,16 @@ def finer(view: wd.View, points: int, margin: int) -> wd.View:
 
 
 def furnace_picture(
-    heightfield: wd.HeightField, energy: str, *, directions: int, tolerance: float, size: int
+    heightfield: wd.HeightField, energy: str, *, tolerance: float, size: int
 ) -> tuple[wd.Image, np.ndarray]:
     """A sphere that is a perfect mirror under an even sky of 1, and how far pixels are from its middle, in radii."""
     ball = trimesh.creation.icosphere(4)
     radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))
     image = wd.shade(
-        ball, heightfield, wd.Environment(np.ones((4, 8, 3)), directions=directions),
+        ball, heightfield, wd.Environment(np.ones((4, 8, 3))),
         wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.02, width=size, height=size),
         coherence=wd.Coherence(sigma_um=8.0),
-        tolerance=tolerance, ior=math.inf, masking=False, energy=energy, refine=False, shadows=False,
+        tolerance=tolerance, ior=math.inf, masking=False, energy=energy, shadows=False,
         tangents=np.cross([0.0, 1.0, 0.01], ball.vertex_normals),
     )  # fmt: skip
     return image, radius
