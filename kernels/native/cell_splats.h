@@ -54,7 +54,8 @@ struct CellSums {
 };
 
 // Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
-// `is_sampled` tells whether colours are samples. `along` weighs cells by how far they are, along one axis, from the middle pixel of three.
+// `is_sampled` tells whether colours are samples. `along` weighs cells by how far they are, along one axis, from the
+// middle pixel of three.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
@@ -90,8 +91,8 @@ WARPDIFF_INLINE CellSums sum_cells(
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base,
-    bool is_sampled, int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out, Bytes& levels_out,
-    Bytes& lighting_out)
+    bool is_sampled, int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out,
+    Bytes& levels_out, Bytes& lighting_out)
 {
     const int across = 1 << level;
     for (int tile = begin; tile < end; ++tile) {

@@ -119,7 +119,8 @@ WARPDIFF_INLINE void scatter(
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,
-    const Reflection& reflection, double scale, double horizon, double counted, bool begins, bool resets, const Flags& occluded, int begin, int end,
+    const Reflection& reflection, double scale, double horizon, double counted, bool begins, bool resets,
+    const Flags& occluded, int begin, int end,
     ScatteringVectors& scattering_vectors_out, Lights& to_lights_out, Gains& gains_out, Colours& xyz_out,
     Coverage& coverage_out, Flags& illuminated_out)
 {

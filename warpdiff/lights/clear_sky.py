@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.lights.base import orthonormal_pair
+from warpdiff.lights.sky_grid import ROWS, grid_directions
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Rows of the image, in steps of 0.35°: as many as of the grid on which suns are extracted, so that no pixel is split.
-ROWS = 512
 # Azimuth of the image's sun from −z towards +x [rad]: the middle of a column.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
 # CIE standard general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
@@ -42,13 +41,11 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    polar = (np.arange(ROWS) + 0.5) / ROWS * math.pi
-    azimuth = ((np.arange(2 * ROWS) + 0.5) / ROWS - 1.0) * math.pi
-    level = np.sin(polar)[:, None]
-    along = np.stack(
-        [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)], axis=-1
+    # The image is the grid on which suns are extracted, so that no pixel is split.
+    along = grid_directions()
+    solid = np.repeat(
+        -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
     )
-    solid = -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS + 0.0 * azimuth
     level_of_sun = math.cos(sun_altitude)
     towards = np.array([
         level_of_sun * math.sin(SUN_AZIMUTH), math.sin(sun_altitude), -level_of_sun * math.cos(SUN_AZIMUTH)

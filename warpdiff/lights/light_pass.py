@@ -289,6 +289,24 @@ class LightPass(ABC):
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the colours of a sampled lobe."""
 
+    def look_up(
+        self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
+    ) -> list[KernelCall]:
+        """Return the calls that add the colours of a lobe by geometry factors of each spectrum, for all materials."""
+        samples, calls = batch.samples, []
+        for material, spectra in enumerate(self.illuminated[lobe]):
+            for gain, illuminated in zip(gains, spectra, strict=True):
+                used = gain
+                if self.context.has_materials:
+                    inputs = [gain, batch.gbuffer.pixels.face, self.context.materials_of_faces, material]
+                    used = samples.material_gains
+                    calls.append(KernelCall(light_samples.select_material, inputs, [used], in_runs=True))
+                calls += lookup.kernel_calls(
+                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz, footprints,
+                    batch.unserved_gain,
+                )  # fmt: skip
+        return calls
+
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that add the colours of all lobes to a batch of cells."""
         calls = []

@@ -142,18 +142,7 @@ class LobePass(LightPass):
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the calls that look up the colours of a lobe, material after material."""
-        samples, context = batch.samples, self.context
         calls, footprints = [], None
         if lookup.plan.uses_footprints:
-            calls, footprints = self.footprint_calls(lobe, batch), samples.footprints
-        gains = samples.gains
-        for index, (illuminated,) in enumerate(self.illuminated[lobe]):
-            if context.has_materials:
-                inputs = [samples.gains, batch.gbuffer.pixels.face, context.materials_of_faces, index]
-                gains = samples.material_gains
-                calls.append(KernelCall(light_samples.select_material, inputs, [gains], in_runs=True))
-            calls += lookup.kernel_calls(
-                samples.scattering_vectors, samples.to_lights, gains, illuminated, batch.xyz, footprints,
-                batch.unserved_gain,
-            )  # fmt: skip
-        return calls
+            calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints
+        return [*calls, *self.look_up(lobe, [batch.samples.gains], footprints, batch, lookup)]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 # Rows of the grid of directions, in steps of 0.35°.
-_ROWS = 512
+ROWS = 512
 # Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
 # Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
@@ -118,26 +118,26 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
 
 
 def grid_directions() -> NDArray[np.float64]:
-    """Unit vectors to the middles of the grid's cells, (_ROWS, 2 _ROWS, 3)."""
-    polar = (np.arange(_ROWS) + 0.5) / _ROWS * math.pi
-    azimuth = ((np.arange(2 * _ROWS) + 0.5) / _ROWS - 1.0) * math.pi
+    """Unit vectors to the middles of the grid's cells, (ROWS, 2 ROWS, 3)."""
+    polar = (np.arange(ROWS) + 0.5) / ROWS * math.pi
+    azimuth = ((np.arange(2 * ROWS) + 0.5) / ROWS - 1.0) * math.pi
     level = np.sin(polar)[:, None]
     along = [level * np.sin(azimuth), np.cos(polar)[:, None] + 0.0 * azimuth, -level * np.cos(azimuth)]
     return np.stack(along, axis=-1)
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Radiance on a grid, (_ROWS, 2 _ROWS, 3): its means over cells, or linear between pixels that are larger."""
+    """Radiance on a grid, (ROWS, 2 ROWS, 3): its means over cells, or linear between pixels that are larger."""
     result = radiance.astype(np.float64)
-    if len(result) < _ROWS:
+    if len(result) < ROWS:
         rows, columns = len(result), result.shape[1]
-        row = np.clip((np.arange(_ROWS) + 0.5) / _ROWS * rows - 0.5, 0.0, rows - 1.0)
-        column = (np.arange(2 * _ROWS) + 0.5) / (2 * _ROWS) * columns - 0.5
+        row = np.clip((np.arange(ROWS) + 0.5) / ROWS * rows - 0.5, 0.0, rows - 1.0)
+        column = (np.arange(2 * ROWS) + 0.5) / (2 * ROWS) * columns - 0.5
         top, left = np.minimum(row.astype(int), rows - 2), np.floor(column).astype(int)
         down, right = (row - top)[:, None, None], (column - left)[:, None]
         result = (1.0 - down) * result[top] + down * result[top + 1]
         return np.asarray((1.0 - right) * result[:, left % columns] + right * result[:, (left + 1) % columns])
-    for axis, count in enumerate((_ROWS, 2 * _ROWS)):
+    for axis, count in enumerate((ROWS, 2 * ROWS)):
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:

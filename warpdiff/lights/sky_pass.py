@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples, sky_samples
+from warpdiff.kernels import sky_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
@@ -98,16 +98,4 @@ class SkyPass(LightPass):
         ]  # fmt: skip
         outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
         calls = [self.filter_footprints(batch), KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
-        for material, spectra in enumerate(self.illuminated[0]):
-            for spectrum, illuminated in enumerate(spectra):
-                gain = gains[spectrum]
-                if context.has_materials:
-                    faces = [pixels.face, context.materials_of_faces, material]
-                    outputs = [samples.material_gains]
-                    calls.append(KernelCall(light_samples.select_material, [gain, *faces], outputs, in_runs=True))
-                    gain = samples.material_gains
-                calls += lookup.kernel_calls(
-                    samples.scattering_vectors, samples.to_lights, gain, illuminated, batch.xyz, None,
-                    batch.unserved_gain,
-                )  # fmt: skip
-        return calls
+        return [*calls, *self.look_up(0, [gains[spectrum] for spectrum in range(3)], None, batch, lookup)]
