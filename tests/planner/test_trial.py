@@ -154,6 +154,44 @@ def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
     assert trial.Trial.bright.fget(measured) == (30.0, 60.0)
 
 
+@pytest.mark.parametrize(
+    ("floor", "light", "expected"),
+    [(0.5e-10, 0.5e-10, False), (2e-10, 0.5e-10, True), (0.5e-10, 2e-10, True)],
+    ids=["darkness", "a bright call", "a call between darkness and light"],
+)
+def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darkness(floor, light, expected):
+    measured = SimpleNamespace(
+        _floors=np.array([[1e-11], [floor]]), training_set=None, exact=lambda _group: np.array([[[1e-11], [light]]])
+    )
+    assert trial.Trial.any_light.fget(measured) is expected
+
+
+def test_a_spectrum_is_as_bright_as_its_brightest_point_and_the_lowest_floor_limits_bright_directions(
+    fingers, monkeypatch
+):
+    """The sets are drawn by these two: the dimmest point, or a floor with the brightest directions, draws others."""
+    rng = np.random.default_rng(11)
+    lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
+    wavelengths = np.array([400.0, 700.0])
+    request = Evaluation.of(fingers, SpectralSettings(coherence=SHORT, tolerance=0.5), wavelengths_nm=wavelengths)
+    calls = []
+
+    def record(candidates, _is_edge_case, luminance, floor):
+        calls.append((candidates, luminance, floor))
+        return candidates, candidates
+
+    monkeypatch.setattr(trial.validation_directions, "sampled", record)
+    measured, _ = trial_of(request, lights, views)
+    ((candidates, luminance, floor),) = calls
+    direction_range, _, _ = strategy.directions_of(request, lights, views)
+    coarse = strategy._coarse_plan(request, direction_range)
+    spectra = measured.run(coarse, measured.validation_set).reshape(len(candidates), 2)
+    assert np.count_nonzero(np.diff(spectra)) > 1000
+    np.testing.assert_allclose(luminance, spectra.max(axis=1))
+    assert measured._floors.shape == (1, 2)
+    assert floor == measured._floors.min() < measured._floors.max()
+
+
 def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     rng = np.random.default_rng(9)
     lights, views = hemisphere(rng, 500, 0.3), hemisphere(rng, 500, 0.3)

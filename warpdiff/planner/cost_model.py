@@ -15,7 +15,7 @@ import numpy as np
 from warpdiff.diffraction.coefficient_basis import holds_powers
 from warpdiff.kernels import coefficient_sum
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM, NM_PER_UM
-from warpdiff.tables import coefficient_table, mip_layout, polar_grid
+from warpdiff.tables import coefficient_table, lookup, mip_layout, polar_grid, spectrum_source
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,12 +33,9 @@ _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
 # Cost of a sample of a table's spectrum, or of a line of a source's, in addition to its products [multiply-adds].
 # Fitted.
 _COST_OF_SAMPLE = 150.0
-# Nodes of a table that a line of a source is added to. Derived: 7 azimuths and 3 rings, on both sides of each.
-_NODES_OF_LINE = 42.0
-# Cost of a colour of a row that is filtered and written, of a multiply-add of the projection, which consists of SIMD
-# products alone, and of a function of w in a look-up [multiply-adds]. Fitted; the last is derived: three channels of
-# three by three nodes.
-_COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD, _COST_OF_LOOK_UP = 105.0, 0.2, 27.0
+# Cost of a colour of a row that is filtered and written, and of a multiply-add of the projection, which consists of
+# SIMD products alone [multiply-adds]. Fitted.
+_COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
@@ -80,7 +77,7 @@ def sampling_multiply_adds(
 
 def look_up_multiply_adds(plan: Plan) -> float:
     """Predicted multiply-adds of a look-up."""
-    return _COST_OF_LOOK_UP * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
+    return lookup.MULTIPLY_ADDS_OF_FUNCTION * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
 
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
@@ -91,7 +88,7 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     area = math.prod(heightfield.size_um)
     if plan.coherence.kind == "source":
         lines = 2.0 * math.pi * layout.highest**2 * area
-        sampling = lines * (_COST_OF_SAMPLE + _NODES_OF_LINE * lanes)
+        sampling = lines * (_COST_OF_SAMPLE + spectrum_source.NODES_OF_LINE * lanes)
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)

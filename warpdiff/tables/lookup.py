@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Limit of what is made from look-ups, such as tables of skies, of tens to hundreds of megabytes.
+# Multiply-adds of a look-up for each function of w. Derived: three channels of three by three nodes.
+MULTIPLY_ADDS_OF_FUNCTION = 27.0
+# Number of distributions of directions under a sky that a look-up keeps. Limit: a second one serves a sky that
+# alternates with the first.
 _MOST_DERIVED = 2
-# Look-ups of a slice.
+# Number of look-ups in a slice. Limit: a slice's arrays stay in a core's cache.
 _LOOK_UPS_OF_SLICE = 2048
 
 

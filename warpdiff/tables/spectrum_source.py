@@ -192,6 +192,10 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
+# Nodes of a table that a line of a source is added to. Derived: 7 azimuths and 3 rings, on both sides of each.
+NODES_OF_LINE = 42.0
+
+
 class LineSpectrum(SpectrumSource):
     """Spectrum of an endless surface under a source: one line at the frequency of each coefficient."""
 

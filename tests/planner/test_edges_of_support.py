@@ -1,0 +1,42 @@
+"""Edges of what plans support: widths of neighbourhoods, and the Nyquist limit of a pitch."""
+
+from types import SimpleNamespace
+
+import pytest
+
+import warpdiff as wd
+from warpdiff.planner import refusals
+
+
+@pytest.mark.parametrize(("extent", "supported"), [((100, 99), True), ((100, 100), False)])
+def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, extent, supported):
+    """201 × 199 coefficients are below the limit of 40,000; 201 × 201 exceed it, but 200 × 200 would not."""
+    monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
+    plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
+    if supported:
+        refusals._check_neighbours(fingers, plan)
+    else:
+        with pytest.raises(ValueError, match=r"sigma_um=3\.0 is too short.* covers 201 × 201 coefficients"):
+            refusals._check_neighbours(fingers, plan)
+
+
+@pytest.mark.parametrize(
+    ("coherence", "method", "radius"),
+    [
+        (wd.Coherence("centred", sigma_um=4.0, centre_um=(3.0, 3.0)), "low-rank", 0.5),
+        (wd.Coherence("centred", sigma_um=4.0, centre_um=(3.0, 3.0)), "direct", 0.0),
+        (wd.Coherence(sigma_um=4.0), "low-rank", 0.0),
+    ],
+    ids=["a window between samples", "a direct sum", "all windows"],
+)
+def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
+    """At 0.4 µm and a pitch of 0.25 µm the limit is 0.8, less 0.4 times the radius of neighbours [1/µm]."""
+    heightfield = wd.HeightField([[0.0, 0.1, 0.2, 0.1]], pitch_um=0.25)
+    monkeypatch.setattr(refusals.coefficient_table, "radius", lambda _plan: 0.5)
+    plan = SimpleNamespace(coherence=coherence, method=method)
+    limit = 0.4 * (2.0 - radius)
+    within, beyond = (SimpleNamespace(lambda_min_nm=400.0, max_uv=share * limit) for share in (0.999, 1.001))
+    refusals.warn_of_aliasing(heightfield, plan, within)
+    assert not recwarn.list
+    with pytest.warns(wd.WarpdiffWarning, match=rf"supports \|\(u, v\)\| up to {limit:.3g} at 400 nm"):
+        refusals.warn_of_aliasing(heightfield, plan, beyond)
