@@ -80,25 +80,50 @@ def many_lights(count: int) -> list[wd.DirectionalLight]:
     return [wd.DirectionalLight(each) for each in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)]
 
 
-def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
-    """Print a row."""
+def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any], wd.View, dict[str, Any]]:
+    """Return what makes the body, the height field, the lights, the view and the options of a case."""
     scene, surface, name = case.split("_")
     make, view = SCENES[scene]
-    body, window = make(), wd.Coherence(sigma_um=16.25 if surface == "scan" else 8.0)
-    heightfield = inputs.levelled_scan() if surface == "scan" else wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
-    if heightfield is None:
-        print(f"| {case} | the scan is not in the folder of WARPDIFF_DATA |" + 7 * " |")
-        return
+    if surface == "scan":
+        heightfield = inputs.levelled_scan()
+        if heightfield is None:
+            raise SystemExit("the scan is not in the folder of WARPDIFF_DATA")
+    else:
+        heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     lights: list[Any]
     if name in SKIES:
         lights = [wd.Environment(SKIES[name]())]
     elif name.endswith("lights"):
         lights = many_lights(int(name.removesuffix("lights")))
     else:
-        lights = [
-            wd.DirectionalLight(TOWARDS if scene != "plate" else (0.5, 1.0, -0.6), angular_diameter_deg=float(name))
-        ]
-    options: dict[str, Any] = {"coherence": window, "tolerance": tolerance, "pigment": 0.0, "strict": False}
+        towards = TOWARDS if scene != "plate" else (0.5, 1.0, -0.6)
+        lights = [wd.DirectionalLight(towards, angular_diameter_deg=float(name))]
+    window = wd.Coherence(sigma_um=16.25 if surface == "scan" else 8.0)
+    return make, heightfield, lights, view, {
+        "coherence": window, "tolerance": tolerance, "pigment": 0.0, "strict": False
+    }  # fmt: skip
+
+
+def reference(
+    sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return interior pixels, drawn at random, their XYZ under a disc light or a sky, and which of them converged."""
+    places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
+
+    def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:
+        if isinstance(light, np.ndarray):
+            return sums.under_sky(chosen, light, across, seed)
+        return sums.under_disc(chosen, light, across, seed)
+
+    exact, spread, _ = converged_means(summed, places, across, 0, tolerance / 3.0)
+    return places, exact, (spread < tolerance / 3.0) & (exact[:, 1] > 0.0)
+
+
+def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
+    """Print a row."""
+    name = case.split("_")[2]
+    make, heightfield, lights, view, options = scene_of(case, tolerance)
+    body, window = make(), options["coherence"]
     renderer = wd.Renderer(body, heightfield, lights, view, **options)
     one = wd.Renderer(body, heightfield, wd.DirectionalLight(TOWARDS), view, **options)
     ratios = []
@@ -121,16 +146,8 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
         exact = total[tuple(places.T)]
         settled = np.ones(len(exact), dtype=bool)
     else:
-        sums = SkySums(body, heightfield, view, window)
-        places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
-
-        def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:
-            if name in SKIES:
-                return sums.under_sky(chosen, SKIES[name](), across, seed)
-            return sums.under_disc(chosen, lights[0], across, seed)
-
-        exact, spread, _ = converged_means(summed, places, across, 0, tolerance / 3.0)
-        settled = (spread < tolerance / 3.0) & (exact[:, 1] > 0.0)
+        light = SKIES[name]() if name in SKIES else lights[0]
+        places, exact, settled = reference(SkySums(body, heightfield, view, window), light, pixels, across, tolerance)
     at = tuple(places[settled].T)
     bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
     errors = distances(image.xyz[at], exact[settled], bright) / tolerance
@@ -144,6 +161,36 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
     )  # fmt: skip
 
 
+def flicker(case: str, *, tolerance: float, frames: int) -> None:
+    """Print by how much differences of neighbouring frames are not those at a fifth of the tolerance, in tolerances.
+
+    Pixels count that show nothing but the body in both frames. The body turns by 1/48 from frame to frame.
+    """
+    make, heightfield, lights, view, options = scene_of(case, tolerance)
+    body, differences = make(), []
+    renderers = [
+        wd.Renderer(body, heightfield, lights, view, **{**options, "tolerance": tolerance * share})
+        for share in (1.0, 0.2)
+    ]
+    before = None
+    for shot in wd.turntable(lights, view, count=48)[:frames]:
+        images = []
+        for renderer in renderers:
+            renderer.draw(shot.lights, view=shot.view)
+            images.append(renderer.image())
+        inside = images[1].illuminated & (images[1].coverage > 0.999)
+        xyz = [image.xyz.astype(np.float64) for image in images]
+        if before is not None:
+            chosen = inside & before[1]
+            scale = np.maximum(np.linalg.norm(xyz[1], axis=2), np.linalg.norm(before[0][1], axis=2))[chosen]
+            scale = np.maximum(scale, 1e-3 * np.percentile(xyz[1][chosen][:, 1], 99.0))
+            wrong = (xyz[0] - before[0][0]) - (xyz[1] - before[0][1])
+            differences.append(np.linalg.norm(wrong[chosen], axis=1) / scale / tolerance)
+        before = xyz, inside
+    shares = np.percentile(np.concatenate(differences), [50.0, 90.0, 99.0])
+    print(f"| {case} | {frames} | {' / '.join(f'{share:.2f}' for share in shares)} |", flush=True)
+
+
 def main() -> int:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -151,7 +198,13 @@ def main() -> int:
     parser.add_argument("--tolerance", type=float, default=1e-1, help="of pictures (0.1)")
     parser.add_argument("--pixels", type=int, default=100, help="number of pixels per row (100)")
     parser.add_argument("--across", type=int, default=128, help="rays along a side of a pixel (128)")
+    parser.add_argument("--flicker", type=int, metavar="FRAMES", help="flicker of a turntable of 48 frames instead")
     options = parser.parse_args()
+    if options.flicker:
+        print("| case | frames | flicker, P50 / P90 / P99 |\n" + 3 * "| --- " + "|")
+        for case in options.cases:
+            flicker(case, tolerance=options.tolerance, frames=options.flicker)
+        return 0
     print("| case | pixels | time | P50 / P90 / P99 | sum of Y | wrong | reported | bounded |\n" + 8 * "| --- " + "|")
     for case in options.cases:
         judge(case, tolerance=options.tolerance, pixels=options.pixels, across=options.across)

@@ -1,0 +1,202 @@
+"""Skies and discs against Mitsuba 3 with the library's plug-in: processor time at equal errors.
+
+``python -m bench.reproduce.mitsuba_skies`` draws scenes of ``lit_scenes`` with both programs. The same sums over
+directions (``bench/truth/sky_sums.py``) judge both. A row has the errors of the library's picture in tolerances and its
+processor time, then the errors and times of Mitsuba by number of paths. The next columns are Mitsuba's time over the
+library's at equal P90 and at equal P99, interpolated between numbers of paths. The last one is Mitsuba's sum of Y over
+the reference's. No time includes preparation: plans and tables here, the baked spectrum and compilation there.
+
+Requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import warpdiff as wd
+from bench import inputs
+from bench.reproduce.lights import distances
+from bench.reproduce.lit_scenes import SCENES, SKIES, TOWARDS, reference
+from bench.truth.sky_sums import SkySums
+from warpdiff.optics import colorimetry, reflectance_factors
+
+CASES = ["whole_sun", "whole_nosun", "whole_room", "close_sun", "close_room", "coils_sun", "tube_room", "whole_10"]
+COHERENCE = wd.Coherence(sigma_um=16.25)
+WAVELENGTHS_NM = np.arange(380.0, 781.0)
+# Reflectance of the plug-in's index of refraction, 1.5, at normal incidence. Pictures are relative to it.
+NORMAL_REFLECTANCE = 0.04
+# Texels along a side of the baked spectrum.
+SPECTRUM_SIZE = 1024
+# Largest number of paths per pixel of one launch. Limit: memory.
+PATHS_OF_LAUNCH = 16
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--cases", nargs="+", default=CASES, metavar="SCENE_LIGHT", help="rows (all)")
+    parser.add_argument("--tolerance", type=float, default=1e-1, help="of the library's pictures (0.1)")
+    parser.add_argument("--pixels", type=int, default=48, help="number of judged pixels (48)")
+    parser.add_argument("--across", type=int, default=192, help="rays of the reference along a side of a pixel (192)")
+    parser.add_argument("--paths", type=int, nargs="+", default=[4, 16, 64, 256], help="paths per pixel")
+    parser.add_argument("--variant", default="llvm_ad_spectral", help="Mitsuba's variant (llvm_ad_spectral)")
+    options = parser.parse_args()
+    import mitsuba as mi
+
+    mi.set_variant(options.variant)
+    wd.register_mitsuba_bsdf()
+    scan = inputs.levelled_scan()
+    if scan is None:
+        print("the scan is not in the folder of WARPDIFF_DATA")
+        return 1
+    print(
+        "| case | P50 / P90 / P99 | s | Mitsuba: paths, P50 / P90 / P99, s | time at equal P90 | at equal P99 | sum of Y |"
+    )
+    print(7 * "| --- " + "|")
+    with tempfile.TemporaryDirectory() as folder:
+        spectrum = Path(folder) / "spectrum.npz"
+        wd.bake_spectrum(scan, coherence=COHERENCE, size=SPECTRUM_SIZE).save(spectrum)
+        for case in options.cases:
+            compare(case, mi, scan, spectrum, options)
+    return 0
+
+
+def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: argparse.Namespace) -> None:
+    """Print a row."""
+    scene, name = case.split("_")
+    make, view = SCENES[scene]
+    body = make()
+    sky = SKIES[name]() if name in SKIES else None
+    disc = wd.DirectionalLight(TOWARDS, angular_diameter_deg=2.0 if sky is not None else float(name))
+    light = wd.Environment(sky) if sky is not None else disc
+    renderer = wd.Renderer(body, scan, light, view, coherence=COHERENCE, tolerance=options.tolerance, pigment=0.0)
+    renderer.draw()
+    seconds = measured(renderer.draw)
+    image = renderer.image()
+    sums = SkySums(body, scan, view, COHERENCE)
+    places, exact, converged = reference(
+        sums, sky if sky is not None else disc, options.pixels, options.across, options.tolerance
+    )
+    at = tuple(places[converged].T)
+    bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
+
+    def percentiles(xyz: np.ndarray) -> np.ndarray:
+        errors = distances(xyz[at], exact[converged], bright) / options.tolerance
+        return np.percentile(errors, [50.0, 90.0, 99.0])
+
+    library = percentiles(image.xyz)
+    emitter = sky_emitter(mi, sky) if sky is not None else disc_emitter(mi, disc)
+    traced = mi.load_dict(
+        {
+            "type": "scene", "integrator": {"type": "path", "max_depth": 2, "hide_emitters": True},
+            "sensor": sensor(mi, view), "body": mesh(mi, body, spectrum), "light": emitter,
+        }
+    )  # fmt: skip
+    mi.render(traced, spp=1, seed=99)
+    rows, total, paths, spent = [], np.zeros((view.height, view.width, 3)), 0, 0.0
+    for goal in sorted(options.paths):
+        while paths < goal:
+            count = min(PATHS_OF_LAUNCH, goal - paths)
+            begin = time.process_time()
+            total += count * np.array(mi.render(traced, spp=count, seed=paths + 1))[..., :3].astype(np.float64)
+            spent += time.process_time() - begin
+            paths += count
+        scale = 1.0 / (NORMAL_REFLECTANCE * paths) if sky is not None else 1.0 / paths
+        rows.append((paths, percentiles(scale * total), spent))
+    text = "; ".join(f"{paths}: {' / '.join(f'{p:.2f}' for p in errors)}, {spent:.1f}" for paths, errors, spent in rows)
+    times = [equal_error_time(rows, k, library[k]) / seconds for k in (1, 2)]
+    print(
+        f"| {case} | {' / '.join(f'{p:.2f}' for p in library)} | {seconds:.1f} | {text} | {times[0]:.2f} | "
+        f"{times[1]:.2f} | {(scale * total)[at][:, 1].sum() / exact[converged][:, 1].sum():.3f} |", flush=True,
+    )  # fmt: skip
+
+
+def measured(draw: Any) -> float:
+    """Return the median processor time of three draws [s]."""
+    times = []
+    for _ in range(3):
+        begin = time.process_time()
+        draw()
+        times.append(time.process_time() - begin)
+    return float(np.median(times))
+
+
+def equal_error_time(rows: list[tuple[int, np.ndarray, float]], k: int, error: float) -> float:
+    """Return Mitsuba's time for an error, linear in logarithms; infinite where no number of paths reaches it."""
+    errors, times = (np.log([row[1][k] for row in rows]), np.log([row[2] for row in rows]))
+    reached = np.flatnonzero(errors <= np.log(error))
+    if not len(reached):
+        return float("inf")
+    j = max(int(reached[0]), 1)
+    slope = (times[j] - times[j - 1]) / min(errors[j] - errors[j - 1], -1e-6)
+    return float(np.exp(times[j] + slope * (np.log(error) - errors[j])))
+
+
+def sensor(mi: Any, view: wd.View) -> dict[str, Any]:
+    """Return Mitsuba's camera for a view."""
+    return {
+        "type": "perspective", "fov": view.fov_y_deg, "fov_axis": "y",
+        "to_world": mi.ScalarTransform4f().look_at(list(view.eye), list(view.target), list(view.up)),
+        "sampler": {"type": "independent"},
+        "film": {
+            "type": "hdrfilm", "width": view.width, "height": view.height, "pixel_format": "xyz",
+            "component_format": "float32", "rfilter": {"type": "gaussian", "stddev": 0.5},
+        },
+    }  # fmt: skip
+
+
+def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
+    """Return Mitsuba's mesh of a body, with its normals and texture coordinates."""
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict({"type": "warpdiff", "filename": str(spectrum)})
+    result = mi.Mesh(
+        "body", len(body.vertices), len(body.faces), properties, has_vertex_normals=True, has_vertex_texcoords=True
+    )
+    parameters = mi.traverse(result)
+    for name, values in (
+        ("vertex_positions", body.vertices), ("vertex_normals", body.vertex_normals),
+        ("vertex_texcoords", body.visual.uv),
+    ):  # fmt: skip
+        parameters[name] = np.asarray(values, dtype=np.float32).ravel()
+    parameters["faces"] = np.asarray(body.faces, dtype=np.uint32).ravel()
+    parameters.update()
+    return result
+
+
+def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
+    """Return Mitsuba's environment; its middle column lies half a turn from the library's."""
+    rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
+    return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}
+
+
+def disc_emitter(mi: Any, light: wd.DirectionalLight) -> dict[str, Any]:
+    """Return a distant disc of which radiance times solid angle is the library's light under D65."""
+    half = np.radians(light.angular_diameter_deg / 2.0)
+    towards = np.asarray(light.to_light) / np.linalg.norm(light.to_light)
+    distance = 200.0
+    to_world = mi.ScalarTransform4f().look_at(list(distance * towards), [0, 0, 0], [0, 1, 0.1])
+    products = colorimetry.colour_products("D65")
+    observer = np.array([np.array(mi.cie1931_xyz(float(nm))).ravel() for nm in WAVELENGTHS_NM])
+    power = products.sum(axis=1) / observer.sum(axis=1) / mi.MI_CIE_Y_NORMALIZATION
+    solid_angle = reflectance_factors.light_solid_angle(1e-3 * WAVELENGTHS_NM, COHERENCE, 1.0)
+    radiance = power * solid_angle / NORMAL_REFLECTANCE / (np.pi * np.sin(half) ** 2)
+    values = {
+        "type": "irregular", "wavelengths": ", ".join(f"{nm:g}" for nm in [379.0, *WAVELENGTHS_NM, 781.0]),
+        "values": ", ".join(f"{value:.9g}" for value in [0.0, *radiance, 0.0]),
+    }  # fmt: skip
+    scale = distance * np.tan(half)
+    return {
+        "type": "disk", "to_world": to_world @ mi.ScalarTransform4f().scale([scale, scale, 1.0]),
+        "emitter": {"type": "area", "radiance": values},
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
