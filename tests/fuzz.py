@@ -201,10 +201,11 @@ OBJECTS = {
     **dict.fromkeys(("light", "lights"), _one_of(_lights)),
     **dict.fromkeys(("exposure_from", "renderer"), _one_of(lambda: [picture(), renderer()])),
     **dict.fromkeys(("material", "film"), _one_of(_materials)),
+    **dict.fromkeys(("image", "reference"), _one_of(lambda: [picture(), picture().xyz, np.ones((2, 3, 3)), []])),
     **dict.fromkeys(("path", "folder", "animation"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
     **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
-    **dict.fromkeys(("n", "k", "values", "radiance_rgb"), _VECTORS),
+    **dict.fromkeys(("n", "k", "values", "radiance_rgb", "pixels"), _VECTORS),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
 
@@ -254,7 +255,7 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
 
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # The library makes these, not a user; errors and warnings accept any text.
-MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period"}
+MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
 # Methods that pictures call, with arguments that are checked before.
 CALLED_BY_PICTURES = {"lobes", "parts"}
@@ -263,7 +264,7 @@ OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
-    "BakedLobes": lobes,
+    "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
@@ -283,6 +284,7 @@ LEGAL_OF = {
     "HeightField.save": {"path": "a.npz"}, "Plan.save": {"path": "a.json"}, "Plan.load": {"path": "plan.json"},
     "bake_spectrum": {"size": 16}, "Environment.load": {"path": "sky.exr"},
     "HeightField.load": {"path": "integers.npy", "height_range_um": 0.3},
+    "compare": {"image": np.ones((2, 3, 3)), "reference": np.ones((2, 3, 3))},
     "Spectrum": {"wavelengths_nm": [300.0, 900.0], "values": [1.0, 2.0]},
     "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
 }  # fmt: skip

@@ -99,7 +99,9 @@ called = {
     "Material": wd.Material.metal("Al"), "OrderEfficiencies": wd.order_efficiencies(heightfield, up, 550.0),
     "Period": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods()[0],
     "Plan": wd.plan(heightfield, up, up, **settings), "PointLight": wd.PointLight(up).power,
-    "Renderer": renderer.image(), "Report": renderer.image().report, "Shot": wd.Shot(light, view),
+    "Renderer": renderer.image(), "Report": renderer.image().report,
+    "Comparison": wd.compare(renderer.image(), renderer.image()), "compare": wd.compare([[up]], [[up]], tolerance=0.1),
+    "Shot": wd.Shot(light, view),
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "ToleranceError": wd.ToleranceError("text"), "View": view.width, "WarpdiffWarning": wd.WarpdiffWarning("text"),
     "bake": lobes.bytes, "bake_spectrum": spectrum.coherence, "brdf": wd.brdf(heightfield, up, up, 550.0, **settings),
@@ -115,7 +117,7 @@ called = {
     "turntable": wd.turntable(light, view),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
-for name in ("BakedLobes", "BakedSpectrum", "Image", "OrderEfficiencies", "Period", "Plan", "Report"):
+for name in ("BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Plan", "Report"):
     assert type(called[name]) is getattr(wd, name)
 """
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.reflectance import brdf, reflectance, reflectance_map, spectral_reflectance
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period
+    from warpdiff.image.comparison import Comparison, compare
     from warpdiff.image.image import Image
     from warpdiff.image.report import Report
     from warpdiff.lights.directional import DirectionalLight
@@ -54,11 +55,11 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
-    "BakedLobes", "BakedSpectrum", "Coherence", "DirectionalLight", "Environment", "HeightField", "Image", "Material",
-    "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Report", "Shot", "Spectrum", "ToleranceError",
-    "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "export_html", "gratings", "light_sweep",
-    "meshes", "order_efficiencies", "plan", "reflectance", "reflectance_map", "register_mitsuba_bsdf", "sequence",
-    "shade", "spectral_reflectance", "turntable",
+    "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
+    "Image", "Material", "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Report", "Shot", "Spectrum",
+    "ToleranceError", "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "compare",
+    "export_html", "gratings", "light_sweep", "meshes", "order_efficiencies", "plan", "reflectance", "reflectance_map",
+    "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "turntable",
 ]  # fmt: skip
 
 _MODULES = {
@@ -68,6 +69,7 @@ _MODULES = {
     "core.wording": ("ToleranceError", "WarpdiffWarning"),
     "evaluate.reflectance": ("brdf", "reflectance_map", "reflectance", "spectral_reflectance"),
     "heightfield.field": ("HeightField",), "heightfield.periods": ("Period",), "image.image": ("Image",),
+    "image.comparison": ("Comparison", "compare"),
     "image.report": ("Report",),
     "lights.environment": ("Environment",), "lights.directional": ("DirectionalLight",),
     "lights.point": ("PointLight",), "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),

@@ -63,14 +63,18 @@ def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return errors ‖ΔXYZ‖ (n,) of illuminated points over max(‖XYZ‖, f · Y*), from their XYZ (n, 3)."""
-    luminance = np.sort(xyz[:, 1])
-    white = 0.0
-    if len(luminance):
-        total = np.cumsum(luminance, dtype=np.float64)
-        median = luminance[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
-        white = max(float(luminance[math.ceil(PERCENTILE * len(luminance)) - 1]), float(median))
-    floor = max(FLOOR * white, TINY)
-    return np.asarray(errors / np.maximum(lengths(xyz), floor), dtype=np.float32)
+    return np.asarray(errors / np.maximum(lengths(xyz), luminance_floor(xyz[:, 1])), dtype=np.float32)
+
+
+def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
+    """Return f · Y* of illuminated points: Y* is a percentile of Y (n,), or its median weighted by Y if larger."""
+    ordered = np.sort(luminance)
+    white: float = 0.0
+    if len(ordered):
+        total = np.cumsum(ordered, dtype=np.float64)
+        median = ordered[min(np.searchsorted(total, 0.5 * total[-1]), len(total) - 1)]
+        white = max(float(ordered[math.ceil(PERCENTILE * len(ordered)) - 1]), float(median))
+    return float(max(FLOOR * white, TINY))
 
 
 def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
