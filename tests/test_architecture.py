@@ -2,6 +2,7 @@
 
 import ast
 import collections
+import functools
 import re
 import subprocess
 import sys
@@ -13,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 if not (ROOT / "pyproject.toml").is_file():
     pytest.skip("these tests need the source tree", allow_module_level=True)
 
-PAGE = ROOT / "docs" / "architecture.md"
+PACKAGE_MAP = ROOT / "docs" / "contributing" / "package_map.md"
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 SOURCES = {
     ".".join((package, *path.relative_to(ROOT / folder).with_suffix("").parts)).removesuffix(".__init__"): path
     for package, folder in {"warpdiff": "warpdiff", "warpdiff.kernels": "kernels"}.items()
@@ -62,16 +64,29 @@ def test_file_names_are_unique():
     assert not [stem for stem, count in stems.items() if count > 1]
 
 
-def test_the_architecture_page_mentions_files_and_names_that_exist():
-    mentions = re.findall(r"`([^`\s]+)`", PAGE.read_text(encoding="utf-8"))
+@pytest.mark.parametrize("page", [PACKAGE_MAP, *DECISIONS], ids=lambda page: page.stem)
+def test_pages_for_contributors_mention_files_and_names_that_exist(page):
+    mentions = re.findall(r"`([^`\s]+)`", page.read_text(encoding="utf-8"))
     absent = [
         mention for mention in mentions if not any((folder / mention).exists() for folder in (ROOT, ROOT / "warpdiff"))
     ]
-    assert len(mentions) - len(absent) > 100
-    code = [*SOURCES.values(), *(ROOT / "kernels" / "native").glob("*.h")]
-    words = {word for path in code for word in re.findall(r"\w+", path.read_text(encoding="utf-8"))}
     names = {word for mention in absent if "/" not in mention for word in re.findall(r"[A-Za-z_]\w{2,}", mention)}
-    assert not [*(mention for mention in absent if "/" in mention), *(names - words)]
+    assert not [*(mention for mention in absent if "/" in mention), *(names - words_of_code())]
+    assert page != PACKAGE_MAP or len(mentions) - len(absent) > 100
+
+
+@functools.cache
+def words_of_code():
+    code = [*SOURCES.values(), *(ROOT / "kernels" / "native").glob("*.h"), *ROOT.glob("*.toml")]
+    code += [path for folder in ("bench", "tests") for path in (ROOT / folder).rglob("*.py")]
+    return {word for path in code for word in re.findall(r"\w+", path.read_text(encoding="utf-8"))}
+
+
+def test_pages_that_the_code_refers_to_exist():
+    code = [*SOURCES.values(), *(ROOT / "kernels" / "native").glob("*.h"), ROOT / "pyproject.toml"]
+    pages = {page for path in code for page in re.findall(r"\bdocs/[\w/-]+\.md", path.read_text(encoding="utf-8"))}
+    assert pages
+    assert not [page for page in pages if not (ROOT / page).is_file()]
 
 
 # Each public name works once all modules are imported: no module takes its place.

@@ -1,7 +1,7 @@
 """Iridescent colours of diffraction gratings given as measured height fields, on NVIDIA Warp.
 
 Packages, from the lowest layer to the highest; a package imports only packages above it in this list.
-``docs/architecture.md`` describes them and follows one pixel through them.
+``docs/contributing/package_map.md`` describes them and follows one pixel through them.
 
 - ``core``: validation, caches, threads, files, forks
 - ``device``: Warp devices and launches of kernels; ``optics``: coherence, materials, spectra, colorimetry
