@@ -56,9 +56,7 @@ def main() -> int:
     if scan is None:
         print("the scan is not in the folder of WARPDIFF_DATA")
         return 1
-    print(
-        "| case | P50 / P90 / P99 | s | Mitsuba: paths, P50 / P90 / P99, s | time at equal P90 | at equal P99 | sum of Y |"
-    )
+    print("| case | P50 / P90 / P99 | s | Mitsuba: paths, errors, s | time at equal P90 | at equal P99 | sum of Y |")
     print(7 * "| --- " + "|")
     with tempfile.TemporaryDirectory() as folder:
         spectrum = Path(folder) / "spectrum.npz"
