@@ -89,13 +89,16 @@ def install(wheel: Path, target: Path) -> Path:
 
 
 def check_installed(target: Path, source: Path, outside: Path) -> None:
-    """Import and use the package installed in ``target``, whose files lie in ``source``, from another folder."""
-    outside.mkdir()
+    """Import and use the package installed in ``target``, whose files lie in ``source``, from another folder.
+
+    This folder has a folder ``warpdiff`` without a package, such as a clone, which must not be imported instead.
+    """
+    (outside / "warpdiff" / "kernels").mkdir(parents=True)
     dependencies = [path for path in sys.path if Path(path).is_dir() and Path(path).resolve() != ROOT]
     arguments = [str(target), str(source), "|".join(dependencies)]
     output = run([sys.executable, "-S", "-c", CHECK, *arguments], outside)
     assert output.split() == ["as", PROJECT["version"], "warpdiff", PROJECT["version"]]
-    assert not list(outside.iterdir())
+    assert [path.name for path in outside.rglob("*")] == ["warpdiff", "kernels"]
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 # Forks wait for what other threads import below, once it is asked for.
@@ -53,6 +54,10 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
 
     __version__: str
+
+# In a checkout ``kernels/`` lies beside this package; an installation has it within.
+if not Path(__path__[0], "kernels").is_dir():
+    __path__.append(str(Path(__path__[0]).parent))
 
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",

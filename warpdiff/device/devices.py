@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import sys
@@ -17,7 +18,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 
 # Limit: number of threads that compile or load kernels.
@@ -30,22 +31,53 @@ _MOST_WAIT_S = 1.0
 def resolve_device(device: Any) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # Unless configured before it starts, Warp prints a banner, a line per module, and that there is no CUDA driver.
+    # Unless configured before it starts, Warp prints a banner and a line per module.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
         # In a name such as "~" Warp would find a folder to be made in the present one.
         wp.config.kernel_cache_dir = _own_folder().name
-    try:
-        wp.init()
-    except OSError as error:
-        raise _cache_error(error) from error
+    _start(asks_for_cuda=device is not None and "cpu" not in str(device))
     try:
         return wp.get_device("cpu" if device is None else device)
     except Exception as error:
         raise ArgumentValueError(
             f"{ref('device')} must be 'cpu', or 'cuda' on a machine with a CUDA device, got {device!r}"
         ) from error
+
+
+@functools.cache
+def _start(*, asks_for_cuda: bool) -> None:
+    """Start Warp, which does nothing if it has started."""
+    try:
+        with contextlib.nullcontext() if asks_for_cuda else _without_driver_warning():
+            wp.init()
+    except OSError as error:
+        raise _cache_error(error) from error
+
+
+@contextlib.contextmanager
+def _without_driver_warning() -> Iterator[None]:
+    """Keep back Warp's warning that there is no CUDA driver.
+
+    Warp's library writes it to the standard error of the process, without an option. All other lines are passed on.
+    """
+    try:
+        stderr = os.dup(2)
+    except OSError:  # closed
+        yield
+        return
+    with tempfile.TemporaryFile() as lines:
+        os.dup2(lines.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            lines.seek(0)
+            for line in lines:
+                if b"NVIDIA CUDA driver" not in line:
+                    os.write(2, line)
 
 
 def resolve_threads(threads: Any) -> int:

@@ -1,0 +1,29 @@
+"""Devices: what Warp writes when it starts."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+CODE = """
+import os
+from warpdiff.device import devices
+os.write(2, b"before\\n")
+with devices._without_driver_warning():
+    os.write(2, b"a line\\nWarning: Could not find or load the NVIDIA CUDA driver.\\nanother line\\n")
+os.write(2, b"after\\n")
+devices.resolve_device(None)
+"""
+CLOSED = "import os; from warpdiff.device import devices; os.close(2); devices.resolve_device(None); print('done')"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="numbers of streams are POSIX")
+@pytest.mark.parametrize(
+    ("code", "errors", "output"),
+    [(CODE, "before\na line\nanother line\nafter\n", ""), (CLOSED, "", "done\n")],
+    ids=["open", "closed"],
+)
+def test_warps_warning_of_the_driver_is_kept_back_and_other_lines_are_not(code, errors, output):
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (result.stderr, result.stdout) == (errors, output)
