@@ -360,7 +360,7 @@ def test_demo_without_the_data(tmp_path, monkeypatch):
         monkeypatch.setattr(demo, name, functools.partial(rough, getattr(demo, name)))
     lines: list[str] = []
     written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
-    assert len(written) == 7
+    assert len(written) == 4
     assert all(path.is_file() for path in written)
     assert "synthetic gratings only" in lines[0]
     monkeypatch.setenv("WARPDIFF_DATA", str(tmp_path / "nowhere"))
