@@ -110,7 +110,7 @@ def test_sequences_take_every_kind_of_light(words, expected, monkeypatch, capsys
         line += " " + " ".join(map(str, sky))
         lights.append(wd.Environment.clear_sky((0, 1, 1), ground_albedo=0.5, scale=2.0))
     assert run(line, *words) == 0
-    shots = expected(lights, wd.View.fit(wd.meshes.disc()))
+    shots = expected(lights, wd.View.fit(wd.meshes.disc(), turning="--lights-stay" in words))
     assert len(drawn) == 4
     for shot, same in zip(drawn, shots, strict=True):
         assert shot.view == same.view

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import warpdiff as wd
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -88,10 +89,10 @@ def shares(view, points):
 
 @pytest.mark.parametrize("direction", [None, (0, 0, 1e-200), (-1, 2, 3)])
 @pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
-def test_a_view_frames_a_mesh(direction, size, tmp_path):
+def test_a_view_of_a_turning_mesh_holds_its_sphere(direction, size, tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
     ball.apply_translation((5, 6, 7))
-    view = View.fit(ball, direction, **size)
+    view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
     # The sphere about the bounding box, whose half diagonal is √3 radii, touches the narrower pair of edges.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
@@ -100,13 +101,49 @@ def test_a_view_frames_a_mesh(direction, size, tmp_path):
     np.testing.assert_allclose(view.frame().back, expected, atol=1e-12)
     ball.export(tmp_path / "ball.ply")
     for same in (trimesh.Scene(ball), prepare_surface(ball, tangents=(1, 2, 3)), tmp_path / "ball.ply"):
-        again = View.fit(same, direction, **size)
+        again = View.fit(same, direction, **size, turning=True)
         np.testing.assert_allclose(again.eye, view.eye, rtol=1e-5)
+
+
+@pytest.mark.parametrize("direction", [None, (0.3, 1.0, 0.2), (-1, 2, 3)])
+@pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
+@pytest.mark.parametrize("target", [None, (5.5, 6.0, 7.5)])
+def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
+    """One pair of edges, or with a target one edge, is 4 % of the image away; nothing is closer."""
+    tube = wd.meshes.tube()
+    tube.apply_transform(trimesh.transformations.translation_matrix((5, 6, 7)))
+    view = View.fit(tube, direction, target=target, **size)
+    frame = view.frame()
+    rays = tube.vertices - frame.origin
+    depth = -rays @ frame.back
+    assert depth.min() > 0.0
+    places = np.stack([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
+    assert np.abs(places).max() == pytest.approx(0.92, abs=1e-6)
+    if target is None:
+        # Both edges of the pair that limits the distance.
+        limits = np.stack([-places.min(axis=1), places.max(axis=1)])
+        assert limits.min(axis=0).max() == pytest.approx(0.92, abs=1e-6)
+    else:
+        assert view.target == target
+    tube.export(tmp_path / "tube.ply")
+    for same in (trimesh.Scene(tube), prepare_surface(tube, tangents=(1, 2, 3)), tmp_path / "tube.ply"):
+        again = View.fit(same, direction, target=target, **size)
+        np.testing.assert_allclose(again.eye, view.eye, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "points", [[[1.0, 2.0, 3.0]] * 2 + [[1.0, 2.0, 3.5]], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, 0.0]]]
+)
+def test_a_view_of_a_line_is_in_front_of_it(points):
+    line = trimesh.Trimesh(points, [[0, 1, 2]], process=False)
+    for direction in ((0, 0, 1), (1, 0, 1)):
+        view = View.fit(line, direction)
+        assert (-(line.vertices - view.frame().origin) @ view.frame().back).min() > 0.0
 
 
 def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     box = trimesh.creation.box()
-    centre, moved = View.fit(box), View.fit(box, target=(0.3, 0.2, -0.1))
+    centre, moved = View.fit(box, turning=True), View.fit(box, target=(0.3, 0.2, -0.1), turning=True)
     assert moved.target == (0.3, 0.2, -0.1)
     np.testing.assert_allclose(moved.frame().back, centre.frame().back, atol=1e-12)
     # A turn about the target leaves no corner out of any picture.
@@ -117,7 +154,7 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
     # Faces' colours and textures are of no account, damaged ones included.
     box.visual.face_colors = np.full((12, 3), 200)
-    assert View.fit(box) == centre
+    assert View.fit(box, turning=True) == centre
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,8 @@ def sequence(options: argparse.Namespace) -> None:
         )
     saving = given(options, describe(wd.sequence))
     environment = cli_inputs.environment_of(options)
-    mesh, heightfield, view = cli_inputs.scene_of(options)
+    turning = options.path is None and options.light_to is None and not options.lights_turn
+    mesh, heightfield, view = cli_inputs.scene_of(options, turning=turning)
     lights = cli_inputs.lights_of(options, view, environment)
     count = 36 if options.count is None else options.count
     if options.path is not None:
@@ -115,7 +116,7 @@ def export_html(options: argparse.Namespace) -> None:
         raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {options.output!r}")
     files.check_folder(target.parent, "path")
     page = given(options, describe(wd.export_html))
-    mesh, heightfield, view = cli_inputs.scene_of(options)
+    mesh, heightfield, view = cli_inputs.scene_of(options, turning=True)
     baking = given(options, describe(wd.bake)) | {
         "coherence": cli_inputs.coherence_of(options),
         "material": cli_inputs.material_of(options),

@@ -247,8 +247,8 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
         return wd.Environment.load(options.environment, **values)
 
 
-def scene_of(options: argparse.Namespace) -> tuple[Any, wd.HeightField, wd.View]:
-    """Return mesh, height field and view of a picture."""
+def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
+    """Return mesh, height field and view of a picture, or of pictures of a mesh that turns."""
     heightfield = height_field_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh
@@ -256,5 +256,5 @@ def scene_of(options: argparse.Namespace) -> tuple[Any, wd.HeightField, wd.View]
     eye, extent_y = values.pop("eye", None), values.pop("extent_y", None)
     if eye is not None and "target" in values:
         return mesh, heightfield, wd.View(eye, extent_y=extent_y, **values)
-    view = wd.View.fit(mesh, **values)
+    view = wd.View.fit(mesh, **values, turning=turning)
     return mesh, heightfield, dataclasses.replace(view, eye=view.eye if eye is None else eye, extent_y=extent_y)

@@ -13,7 +13,7 @@ from warpdiff.core import forks, validation
 from warpdiff.core.memory import MOST_ELEMENTS
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.scene.mesh_import import bounding_sphere
+from warpdiff.scene.mesh_import import normalised_positions
 
 if TYPE_CHECKING:
     import os
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.scene.mesh_import import Surface
+
+
+# Share of the image that a framed mesh fills along the narrower pair of edges. Limit: a margin of 4 % on each side.
+_FILLED = 0.92
+# Least distance of the eye from a framed mesh, over its radius. Limit: a line along the direction of view has no width.
+_LEAST_DISTANCE = 1e-2
 
 
 class ViewFrame(NamedTuple):
@@ -114,20 +120,22 @@ class View(Checked):
     def fit(
         cls, mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
         direction: ArrayLike | None = None, *, target: ArrayLike | None = None, up: ArrayLike = (0.0, 1.0, 0.0),
-        fov_y_deg: float = 40.0, width: int = 640, height: int = 480,
+        fov_y_deg: float = 40.0, width: int = 640, height: int = 480, turning: bool = False,
     ) -> View:  # fmt: skip
-        """Frame a mesh: the image holds its bounding sphere, also while mesh or camera turn about the target.
+        """Frame a mesh, so that it fills the image.
 
         Args:
             mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file.
             direction: Direction from the mesh to the camera, world frame, shape (3,). None is the front, which is +z,
                 or −y for an ``up`` near ±z, raised by 31° towards ``up``.
-            target: Point in the middle of the image, world frame, shape (3,). None is the bounding sphere's centre; the
-                camera is farther away from other targets.
+            target: Point in the middle of the image, world frame, shape (3,). None centres the mesh in the image, or,
+                with ``turning``, is the centre of the bounding sphere. The camera is farther away from other targets.
             up: Direction that points up in the image, shape (3,).
             fov_y_deg: Vertical field of view [degrees], less than 180.
             width: Width of the image in pixels.
             height: Height of the image in pixels.
+            turning: Whether the mesh or the camera turns about the target, as in :func:`warpdiff.turntable`: all
+                pictures then hold the whole mesh, which is smaller in each.
 
         Raises:
             FileNotFoundError: The mesh file does not exist.
@@ -143,13 +151,28 @@ class View(Checked):
         # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
         operands: Any = (back, up)
         view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
-        half = math.radians(view.fov_y_deg) / 2.0
-        # The narrower of the two fields of view holds the bounding sphere.
-        half = min(half, math.atan(math.tan(half) * view.width / view.height))
-        centre, radius = bounding_sphere(mesh)
+        validation.flag(turning, "turning")
+        centre, radius, points = normalised_positions(mesh)
         middle: Any = centre if target is None else validation.vector(target, "target")
-        reach = radius + math.dist(middle, centre)
-        return replace(view, eye=middle + reach / math.sin(half) * back / np.linalg.norm(back), target=middle)
+        frame = view.frame()
+        if turning:
+            # The narrower of the two fields of view holds the bounding sphere.
+            half = math.atan(min(frame.half_height, frame.half_width))
+            reach = radius + math.dist(middle, centre)
+            return replace(view, eye=middle + reach / math.sin(half) * frame.back, target=middle)
+        # A point is within the image if |x − cₓ| ≤ tₓ (d − z), and likewise along y. The least distance d of the eye
+        # follows from the largest x + tₓ z and the least x − tₓ z.
+        points = points + (centre - middle) / radius
+        towards = points @ frame.back
+        distance, moved = float(towards.max()) + _LEAST_DISTANCE, np.zeros(3)
+        for axis, tangent in ((frame.right, _FILLED * frame.half_width), (frame.up, _FILLED * frame.half_height)):
+            along = points @ axis
+            high, low = float((along + tangent * towards).max()), float((along - tangent * towards).min())
+            offset = 0.5 * (high + low) if target is None else 0.0
+            distance = max(distance, (high - offset) / tangent, (offset - low) / tangent)
+            moved += offset * axis
+        middle = middle + radius * moved
+        return replace(view, eye=middle + radius * distance * frame.back, target=middle)
 
     def frame(self) -> ViewFrame:
         """Return the camera's origin and axes, in float64, read-only."""

@@ -130,16 +130,18 @@ def prepare_surface(
             return replace(_build(part, field), geometry_names=tuple(geometry.name for geometry in geometries))
 
 
-def bounding_sphere(
+def normalised_positions(
     mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
-) -> tuple[NDArray[np.float64], float]:
-    """Return ``centre`` and ``radius`` of a mesh's :class:`Surface`, without its colours and tangents."""
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Return ``centre``, ``radius`` and ``vertices`` of a mesh's :class:`Surface`, without its colours and tangents."""
     if isinstance(mesh, Surface):
-        return mesh.centre, mesh.radius
+        return mesh.centre, mesh.radius, mesh.vertices.astype(np.float64)
     with _naming_file(mesh), single_threaded_blas():
         part = _join([_named_part(geometry, colours=False) for geometry in _geometries(mesh)])
         index, _ = compacted(part.faces.T, len(part.vertices))
-        return _sphere(part.vertices.T.take(index, axis=1))
+        world = part.vertices.T.take(index, axis=1)
+        centre, radius = _sphere(world)
+        return centre, radius, ((world.T - centre) / radius).astype(np.float64)
 
 
 @contextlib.contextmanager

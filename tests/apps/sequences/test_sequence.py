@@ -49,7 +49,9 @@ def test_a_turntable_turns_once_about_the_target():
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
     # A camera that frames a body, here about one of its ends, holds it in all frames.
     body = wd.meshes.tube()
-    for shot in wd.turntable(LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30), count=7):
+    for shot in wd.turntable(
+        LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30, turning=True), count=7
+    ):
         frame = shot.view.frame()
         rays = body.vertices - frame.origin
         depth = -rays @ frame.back

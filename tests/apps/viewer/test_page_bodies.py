@@ -45,7 +45,7 @@ def test_a_light_at_the_eye_is_seen_where_it_is():
     surface = prepare_surface(wd.meshes.tube())
     view = page_bodies.framed(surface, 40, 30)
     options = {"smooth": True, "device": resolve_device(None), "threads": 1}
-    for column, row in ((14, 15), (25, 16)):
+    for column, row in ((14, 14), (25, 14)):
         near = page_bodies.local_directions(surface, view, wd.PointLight(view.eye), column, row, **options)
         np.testing.assert_allclose(near.to_light, near.to_view, atol=1e-5)
         towards = np.subtract(view.eye, surface.centre)

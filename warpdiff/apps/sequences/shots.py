@@ -62,7 +62,7 @@ def turntable(
     :meth:`warpdiff.View.fit` makes a view that holds the body in all frames::
 
         body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 1.0, 0.5))
-        shots = wd.turntable([sky, wd.PointLight((0.0, 2.0, 1.0))], wd.View.fit(body, width=480, height=260))
+        shots = wd.turntable([sky, wd.PointLight((0.0, 2.0, 1.0))], wd.View.fit(body, turning=True))
 
     Args:
         lights: Light of the first frame, or several: directional lights and discs, point lights, environments.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
 
-# Largest share of the picture that a body fills; View.fit frames a sphere, of which a body fills half.
-_FILLED = 0.92
 _FOV_Y_DEG = 25.0
 # Direction from a body to the first camera.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
@@ -48,24 +45,9 @@ def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -
 
 def framed(surface: Surface, width: int, height: int) -> wd.View:
     """Return a view that the body fills."""
-    up = np.array([0.0, 1.0, 0.0])
-    back = np.array(_TOWARDS_EYE)
-    right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
-    top = np.cross(back, right)
-    points = surface.vertices.astype(np.float64)
-    across, above, towards = (points @ axis for axis in (right, top, back))
-    middle = 0.5 * (across.min() + across.max()), 0.5 * (above.min() + above.max())
-    half_y = math.tan(math.radians(_FOV_Y_DEG) / 2.0) * _FILLED
-    half_x = half_y * width / height
-    distance = float(
-        np.max(np.maximum(np.abs(across - middle[0]) / half_x, np.abs(above - middle[1]) / half_y) + towards)
-    )
-    target = surface.centre + surface.radius * (middle[0] * right + middle[1] * top)
-    eye = target + surface.radius * distance * back
-    return wd.View(
-        tuple(np.round(eye, 6).tolist()), tuple(np.round(target, 6).tolist()), fov_y_deg=_FOV_Y_DEG, width=width,
-        height=height,
-    )  # fmt: skip
+    view = wd.View.fit(surface, _TOWARDS_EYE, fov_y_deg=_FOV_Y_DEG, width=width, height=height)
+    x, y, z = np.round(view.eye, 6).tolist()
+    return dataclasses.replace(view, eye=(x, y, z), target=tuple(np.round(view.target, 6).tolist()))
 
 
 class LocalDirections(NamedTuple):
