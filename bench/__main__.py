@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
     parser.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
     parser.add_argument("--filter", nargs="+", metavar="PART", help=f"only some parts: {' '.join(runner.PARTS)}")
+    parser.add_argument("--peer", metavar="MODULE:FUNCTION", help="a method of yours, see bench.suite.runner.user_peer")
     parser.add_argument("--data", type=Path, metavar="FOLDER", help=inputs.HELP)
     parser.add_argument("--device", help="cpu (default) or cuda")
     parser.add_argument("--threads", type=int, help="CPU threads, also of peers (default: one per core)")
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         report = runner.run(
             Path(options.output), quick=options.quick, parts=options.filter, device=options.device,
-            threads=options.threads, data=options.data,
+            threads=options.threads, data=options.data, peer=options.peer,
         )  # fmt: skip
     except (ValueError, OSError) as error:
         print(f"python -m bench: {error}", file=sys.stderr)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -81,9 +82,16 @@ def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, dev
     return shade
 
 
-def peers(coherence: wd.Coherence) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
+def style(method: str) -> tuple[str, str, str]:
+    """Return colour, marker and title of a method."""
+    return STYLES.get(method, ("#CC00CC", "P", method))
+
+
+def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
     """Return the peers that can run and support a kind of coherence, with their settings."""
-    result: dict[str, tuple[Any, list[dict[str, Any]]]] = {}
+    result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
+        name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
+    }
     names = ["drjit_peer", "numpy_peer", "numba_published"] if coherence.kind in ("averaged", "centred") else []
     for name in names + ["stam_analytic"] * (coherence.kind == "averaged"):
         try:
@@ -112,6 +120,8 @@ def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField,
 
 def label(setting: dict[str, Any]) -> str:
     """Return a short text of a peer's setting."""
+    if not setting:
+        return "default"
     if "colours" in setting:
         return str(setting["colours"])
     side = 2 * setting["neighbour_extent"] + 1
@@ -153,7 +163,7 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
         for key, plan in plans(scene, coherence, directions, setting).items()
     }
     before = dict(_before(scene, coherence, directions, setting))
-    for name, (peer, settings) in peers(coherence).items():
+    for name, (peer, settings) in peers(coherence, setting).items():
         for options in settings if not setting.quick else settings[:1] + settings[1::2]:
             begin = time.perf_counter()
             try:
@@ -245,7 +255,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
     for axis, quantity, least in zip(axes, ("p99", "delta_e"), (1e-7, 1e-5), strict=False):
         ends = []
         for method, curve in curves.items():
-            colour, marker, title = STYLES[method]
+            colour, marker, title = style(method)
             top = method == AUTOMATIC
             # The published setting is a separate point, not a part of a peer's curve.
             begin = int(method in PEERS.values())
@@ -285,7 +295,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         best = _at(curve, 1e-2)
         if best is None:
             continue
-        colour, marker, title = STYLES[method]
+        colour, marker, title = style(method)
         per_frame = [before / n + FRAME_PIXELS * 1e-6 * curve["us"][best][0] for n in FRAMES]
         axes[2].plot(FRAMES, per_frame, color=colour, marker=marker, markersize=4, linewidth=1.6)
         ends.append((FRAMES[-1], per_frame[-1], title, colour))
@@ -321,8 +331,8 @@ def finding(result: dict[str, Any]) -> str:
         for name in curves
         if name != AUTOMATIC and (at := _at(curves[name], 1e-2)) is not None
     }
-    rivals = {name: us for name, us in others.items() if STYLES[name][1] in "s^D"}
+    rivals = {name: us for name, us in others.items() if style(name)[1] in "s^DP"}
     if rivals:
         best = min(rivals, key=lambda name: rivals[name])
-        text += f", the best peer ({STYLES[best][2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
+        text += f", the best peer ({style(best)[2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
     return text + "."

@@ -35,8 +35,8 @@ def measure(setting: Setting) -> dict[str, Any]:
             scene.heightfield, coherence=coherence, tolerance=1e-3, device=setting.device, threads=setting.threads
         )
         shades = {"warpdiff, 1e-3": pareto.ours(scene.heightfield, finest, directions, resolve_device(setting.device))}
-        for name, (peer, settings) in pareto.peers(coherence).items():
-            shades[pareto.STYLES[name][2]] = pareto.best(peer, settings, scene.heightfield, coherence)
+        for name, (peer, settings) in pareto.peers(coherence, setting).items():
+            shades[pareto.style(name)[2]] = pareto.best(peer, settings, scene.heightfield, coherence)
         pictures, reference_xyz = {}, None
         for name, shade in shades.items():
             xyz = np.float64(shade(directions.scattering_vectors, directions.gains, setting.threads))

@@ -13,15 +13,18 @@ import platform
 import subprocess
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import warpdiff as wd
 from warpdiff.core.files import atomic_write, check_folder
 from warpdiff.device.devices import resolve_device, resolve_threads
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 # Modules with measure(setting), numbers(results) and chart(results, folder), in the order of the report.
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
@@ -43,6 +46,7 @@ class Setting:
         threads: Threads on the CPU, for warpdiff and peers.
         data: Folder of the real inputs; None is the default folder.
         rounds: Number of timed rounds; all calls are interleaved.
+        user_peers: Methods of the user by name: functions ``prepare(heightfield, coherence)``, see ``user_peer``.
     """
 
     quick: bool
@@ -50,6 +54,7 @@ class Setting:
     threads: int
     data: Path | None
     rounds: int
+    user_peers: dict[str, Callable[..., Any]] = field(default_factory=dict)
 
     @staticmethod
     def say(what: str) -> None:
@@ -59,7 +64,7 @@ class Setting:
 
 def run(
     folder: Path, *, quick: bool = False, parts: list[str] | None = None, device: str | None = None,
-    threads: int | None = None, data: Path | None = None,
+    threads: int | None = None, data: Path | None = None, peer: str | None = None,
 ) -> Path:  # fmt: skip
     """Measure, write ``results.json`` and ``results.csv``, draw, and report.
 
@@ -70,6 +75,7 @@ def run(
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Threads on the CPU; None is one per core.
         data: Folder of the real inputs.
+        peer: A method of the user, ``"module:function"``: see ``user_peer``.
 
     Returns:
         The path of the report, a Markdown file with the figures and a finding below each.
@@ -83,7 +89,7 @@ def run(
     # The disk cache would shorten the preparation before a first frame.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
-    setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5)
+    setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5, user_peer(peer))
     results: dict[str, Any] = {"machine": machine(setting), "seconds": {}, "figures": {}, "findings": {}}
     folder.mkdir(parents=True, exist_ok=True)
     check_folder(folder, "output")
@@ -101,6 +107,32 @@ def run(
         write_csv(folder / "results.csv", results["figures"])
         write(folder / "report.md", report(results))
     return folder / "report.md"
+
+
+def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
+    """Import a method of the user.
+
+    Args:
+        text: ``"module:function"``. The function takes a height field and a coherence, and returns a function
+            ``shade(scattering_vectors, gains, threads)``: (n, 3) (u, v, w), (n,) and a number to linear XYZ (n, 3),
+            which are ``gains`` times the sum of ``warpdiff.reflectance`` without geometry factors. It raises
+            ``ValueError`` for a coherence that it does not support.
+
+    Returns:
+        The function by its name.
+    """
+    if text is None:
+        return {}
+    module, _, name = text.partition(":")
+    try:
+        function = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"--peer must be module:function, such as mine:prepare, got {text}: {error}") from error
+    if not callable(function):
+        raise ValueError(  # noqa: TRY004 (of the command line)
+            f"--peer must name a function, got {text}, a {type(function).__name__}"
+        )
+    return {f"{module}:{name}": function}
 
 
 def machine(setting: Setting) -> dict[str, Any]:

@@ -116,3 +116,22 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
     floor = 1e-3 * np.percentile(image.xyz[image.illuminated][:, 1], 99.0)
     error = np.linalg.norm(ours - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
     assert np.max(error) < 2e-2
+
+
+def test_a_users_method_is_a_peer():
+    """It is called by its own name, without settings."""
+    from bench.peers import numpy_peer
+    from bench.suite import pareto
+
+    setting = runner.Setting(True, None, 1, None, 1, runner.user_peer("bench.peers.numpy_peer:prepare"))
+    peer, settings = pareto.peers(wd.Coherence(sigma_um=3.0), setting)["bench.peers.numpy_peer:prepare"]
+    assert settings == [{}]
+    assert peer.prepare is numpy_peer.prepare
+    assert pareto.label({}) == "default"
+    assert pareto.style("bench.peers.numpy_peer:prepare")[2] == "bench.peers.numpy_peer:prepare"
+
+
+@pytest.mark.parametrize("text", ["nowhere:prepare", "bench.inputs", "bench.inputs:nothing", "bench.inputs:HELP", ":x"])
+def test_a_users_method_that_cannot_be_imported_is_refused(text):
+    with pytest.raises(ValueError, match=f"--peer must name a function|--peer must be module:function.*{text}"):
+        runner.user_peer(text)
