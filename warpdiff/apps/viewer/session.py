@@ -231,8 +231,9 @@ class Studio:
                         # For another probe alone, the stages continue; after the last one, the picture stays.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
-                    if session.stage == 0 and _is_released(session, request):
-                        session.stage = 1
+                    if session.stage == 0 and _is_released(session, request) and session.picture:
+                        # A smaller picture is drawn with all pixels first.
+                        session.stage = int(len(session.picture[0].mask) == request.values["height"])
                     if session.stage > pictures:
                         continue
                     wait = session.drawn_at + _REST_S - time.monotonic() if request.moving and session.stage else 0.0
@@ -252,7 +253,7 @@ class Studio:
         newest = session.request
         if not session.open or newest is None:
             return False
-        if index == 0:
+        if index == 0 and request.moving:
             # A moving picture is drawn to the end; otherwise the page would show none.
             return not _is_released(session, newest)
         others = [
@@ -289,7 +290,7 @@ class Studio:
             session.stage = index + 1
             return
         begin = time.perf_counter()
-        view = full if index else self._smaller(full)
+        view = self._smaller(full) if index == 0 and request.moving else full
         previewed = scene.at(stages[index].tolerance)
 
         def report() -> None:
@@ -495,5 +496,5 @@ def _illuminants(scene: Scene) -> tuple[str, ...]:
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether the last picture was a moving one that now rests; it is refined at once, without another preview."""
+    """Whether the last picture was a moving one that now rests; it is refined at once if it has all pixels."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving
