@@ -12,6 +12,7 @@ BENCH_STAMP := $(VENV)/.stamp-bench
 BROWSER_STAMP := $(VENV)/.stamp-browser
 DASK_STAMP := $(VENV)/.stamp-dask
 MITSUBA_STAMP := $(VENV)/.stamp-mitsuba
+DOCS_STAMP := $(VENV)/.stamp-docs
 MINUTES ?= 60
 # Workers share the cores: threads of linear algebra would wait for those of other workers, busily.
 PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
@@ -19,7 +20,7 @@ PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxpr
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-dask test-mitsuba soak test-lowest lint bench clean
+.PHONY: help demo test test-slow test-browser test-dask test-mitsuba soak test-lowest lint bench docs clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
@@ -67,8 +68,12 @@ lint: $(LINT_STAMP) ## check style, types and the layers of imports
 bench: $(BENCH_STAMP) ## chart speed against accuracy into bench_results/, in a quarter of an hour
 	$(BIN)/python -m bench --output bench_results
 
+docs: $(DOCS_STAMP) ## build the documentation site into docs/_build/html
+	$(BIN)/python -m sphinx -b html -W --keep-going docs docs/_build/html
+	@echo "the site is docs/_build/html/index.html"
+
 clean: ## remove the environment, caches, builds and the demonstration's pictures
-	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results docs/_build docs/gallery docs/reference *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find warpdiff kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # An environment made by hand is kept; only its version is checked.
@@ -110,6 +115,10 @@ $(DASK_STAMP): pyproject.toml | $(BIN)/python
 
 $(BENCH_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[bench])
+	@touch $@ $(DEMO_STAMP)
+
+$(DOCS_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[docs])
 	@touch $@ $(DEMO_STAMP)
 
 $(MITSUBA_STAMP): pyproject.toml | $(BIN)/python

@@ -185,7 +185,7 @@ class BakedLobes(table_files.SavedTable):
     def reflectance(
         self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
-        """Colours of the reflectance, as :func:`warpdiff.reflectance` computes them, up to :attr:`error`.
+        """Colours of the reflectance, as :func:`warpdiff.reflectance` computes them, up to ``error``.
 
         Args:
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.

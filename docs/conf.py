@@ -1,0 +1,78 @@
+"""Configuration of the documentation site: ``make docs``."""
+
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import warpdiff
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "extensions"))
+# Public modules are attributes of the package. Sphinx imports them by their public names.
+for name in ("gratings", "meshes", "datasets"):
+    if hasattr(warpdiff, name):
+        sys.modules[f"warpdiff.{name}"] = getattr(warpdiff, name)
+
+project = "warpdiff"
+author = "The warpdiff developers"
+copyright = "2026, The warpdiff developers"
+release = version = metadata.version("warpdiff")
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "myst_nb",
+    "sphinx_design",
+    "sphinx_copybutton",
+    "generated_reference",
+]
+templates_path = ["templates"]
+exclude_patterns = ["_build", "extensions", "templates"]
+nitpicky = True
+# Annotations name types of other packages, and ranges of values.
+nitpick_ignore_regex = [(r"py:class", r"(?!warpdiff\.).*")]
+
+html_theme = "pydata_sphinx_theme"
+html_title = "warpdiff"
+html_static_path = ["static"]
+html_css_files = ["warpdiff.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "show_nav_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"],
+    "show_toc_level": 2,
+}  # fmt: skip
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+# A notebook runs again only if its text has changed.
+nb_execution_mode = "cache"
+nb_execution_timeout = 120
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autosummary_generate = True
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autoclass_content = "both"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+if (HERE.parent / "examples").is_dir():
+    from gallery_pictures import SavedPictures
+    from sphinx_gallery.sorting import FileNameSortKey
+
+    extensions.append("sphinx_gallery.gen_gallery")
+    sphinx_gallery_conf = {
+        "examples_dirs": "../examples",
+        "gallery_dirs": "gallery",
+        "filename_pattern": r"plot_",
+        "image_scrapers": (SavedPictures(), "matplotlib"),
+        "within_subsection_order": FileNameSortKey,
+        "remove_config_comments": True,
+        "show_memory": False,
+        "download_all_examples": False,
+        "abort_on_example_error": True,
+    }

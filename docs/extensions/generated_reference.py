@@ -1,0 +1,133 @@
+"""Reference pages that are generated from the code: command line, options of the functions, public names."""
+
+import argparse
+import inspect
+import re
+from pathlib import Path
+
+import warpdiff as wd
+from warpdiff.apps import cli
+from warpdiff.core.options import REQUIRED, describe
+from warpdiff.request import settings
+
+# Settings of public functions, from the general ones to those of pictures.
+SETTINGS = {
+    "PlanSettings": "`warpdiff.plan`",
+    "EvaluationSettings": "`warpdiff.reflectance`, `warpdiff.reflectance_map`",
+    "SpectralSettings": "`warpdiff.spectral_reflectance`, `warpdiff.brdf`",
+    "PictureSettings": "`warpdiff.shade`, `warpdiff.Renderer`",
+    "SinglePictureSettings": "`warpdiff.shade`",
+}
+GROUPS = {
+    "Surfaces": ["HeightField", "Period", "gratings", "datasets"],
+    "Bodies and cameras": ["meshes", "View"],
+    "Lights": ["DirectionalLight", "PointLight", "Environment", "Spectrum"],
+    "Materials and coherence": ["Material", "Coherence"],
+    "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
+    "Reflectance without a picture": [
+        "reflectance", "spectral_reflectance", "brdf", "reflectance_map", "order_efficiencies", "OrderEfficiencies",
+    ],
+    "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
+    "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
+    "Export": [
+        "export_html", "bake", "BakedLobes", "bake_spectrum", "BakedSpectrum", "register_mitsuba_bsdf",
+    ],
+}  # fmt: skip
+
+
+# Names that extensions of the library use; they are not imported by ``import warpdiff``.
+EXTENSION_POINTS = ["warpdiff.lights.base.Light", "warpdiff.heightfield.readers.register_reader"]
+LITERAL = re.compile(r"(``.*?``)")
+
+
+def cell(text: object) -> str:
+    """Return text for a cell of a Markdown table."""
+    return " ".join(str(text).replace("|", "\\|").replace("<", "&lt;").split())
+
+
+def options_page() -> str:
+    """Return the tables of options."""
+    lines, seen = [], set()
+    for name, functions in SETTINGS.items():
+        lines += [f"## {functions.replace('`', '')}", ""]
+        lines += ["| option | type | range or choices | unit | default | meaning |", 6 * "| --- " + "|"]
+        for option in describe(getattr(settings, name)).values():
+            allowed = option.range or ", ".join(f"`{choice!r}`" for choice in option.choices)
+            default = "required" if option.default is REQUIRED else f"`{option.default!r}`"
+            mark = "" if option.name not in seen else " (as above)"
+            meaning = cell(option.help).replace("``", "`") if not mark else "as above"
+            kind = option.kind + (" or None" if option.optional else "")
+            lines.append(
+                f"| `{option.name}` | {kind} | {cell(allowed)} | {option.unit} | {cell(default)} | {meaning} |"
+            )
+            seen.add(option.name)
+        lines.append("")
+    return "\n".join(lines)
+
+
+def command_line_page() -> str:
+    """Return the help of all commands, as the command line prints it at a width of 100 characters."""
+    lines = []
+    for name, command in cli._COMMANDS.items():
+        parser = cli._parser([name])
+        actions = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+        sub = actions.choices[name]
+        sub.formatter_class = lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=100)
+        lines += [f"## warpdiff {name}", "", f"{command.what[0].upper()}{command.what[1:]}.", "", "```text"]
+        lines += [sub.format_help().rstrip(), "```", ""]
+    return "\n".join(lines)
+
+
+def names_page() -> str:
+    """Return the summaries of all public names, by what they are for."""
+    listed = [name for names in GROUPS.values() for name in names]
+    missing = sorted(set(wd.__all__) - set(listed))
+    if missing:
+        raise ValueError(f"docs/extensions/generated_reference.py: GROUPS lacks {', '.join(missing)}")
+    lines = []
+    for title, names in GROUPS.items():
+        lines += [f"## {title}", "", "```{eval-rst}", ".. autosummary::", "   :toctree: generated"]
+        lines += ["   :nosignatures:", ""]
+        for name in names:
+            member = getattr(wd, name, None)
+            if inspect.ismodule(member):
+                public = getattr(member, "__all__", None) or [
+                    key for key, value in vars(member).items()
+                    if inspect.isfunction(value) and value.__module__ == member.__name__ and key[0] != "_"
+                ]  # fmt: skip
+                lines += [f"   warpdiff.{name}.{key}" for key in public]
+            elif member is not None:
+                lines.append(f"   warpdiff.{name}")
+        lines += ["```", ""]
+    lines += ["## Extension points", "", "The pages for contributors use these names.", "", "```{eval-rst}"]
+    lines += [".. autosummary::", "   :toctree: generated", "   :nosignatures:", ""]
+    return "\n".join([*lines, *(f"   {name}" for name in EXTENSION_POINTS), "```", ""])
+
+
+def keep_bars(_app, _what, _name, _object, _options, lines: list[str]) -> None:
+    """Escape the bars of formulas such as |w|, which reStructuredText takes for substitutions."""
+    for k, line in enumerate(lines):
+        lines[k] = "".join(part if part[:2] == "``" else part.replace("|", r"\|") for part in LITERAL.split(line))
+
+
+def write(app, _config) -> None:
+    """Write the pages before Sphinx reads any."""
+    pages = {
+        "api": ("Public names", "Import the package as `import warpdiff as wd`. Each name has a page.", names_page()),
+        "options": ("Options of the functions", "Keyword arguments with their ranges and defaults.", options_page()),
+        "command_line": ("Command line", "`warpdiff COMMAND --help` prints these texts.", command_line_page()),
+    }
+    for name, (title, first, text) in pages.items():
+        page = Path(app.srcdir, "reference", f"{name}.md")
+        page.parent.mkdir(exist_ok=True)
+        content = f"# {title}\n\n{first}\n\n{text}"
+        # An unchanged page is not read again.
+        if not page.exists() or page.read_text(encoding="utf-8") != content:
+            page.write_text(content, encoding="utf-8")
+
+
+def setup(app) -> dict[str, bool]:
+    """Register the generator, which runs before Sphinx looks for pages."""
+    app.connect("config-inited", write)
+    app.connect("autodoc-process-docstring", keep_bars)
+    return {"parallel_read_safe": True}
