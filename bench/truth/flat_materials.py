@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+# Quotients of complex NaN set the flag of invalid operations.
+@np.errstate(invalid="ignore")
 def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations: str = "sp") -> NDArray[np.float64]:
     """R of a material in air, the mean of some polarisations; wavelengths [µm] and cosines broadcast; NaN stays."""
     wavelengths, cosines = np.broadcast_arrays(np.asarray(wavelengths_um, float), np.asarray(cosines, float))
