@@ -1,0 +1,39 @@
+"""Pages of the documentation: their Python runs as it is printed, and their links lead to files."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
+# Pages that the build of the site writes.
+BUILT = ("reference/api", "reference/options", "reference/command_line", "gallery/index")
+
+
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
+def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
+    """Blocks that require an extra package or a GPU are marked, and are left to the tests of these."""
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for mark, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if not mark:
+            exec(compile(code, str(page), "exec"), names)  # noqa: S102 (the page is the code)
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_links_lead_to_files(page):
+    if page.is_relative_to(DOCS / "_build") or page.is_relative_to(DOCS / "reference"):
+        pytest.skip("the build of the site writes this page")
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        path = (page.parent / target).resolve()
+        built = path.is_relative_to(DOCS) and path.relative_to(DOCS).with_suffix("").as_posix() in BUILT
+        assert built or path.exists(), f"{page.name}: {target}"
