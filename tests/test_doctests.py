@@ -6,6 +6,7 @@ import doctest
 import inspect
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 import warpdiff as wd
@@ -46,8 +47,8 @@ def members(name: str) -> Iterator[tuple[str, object]]:
 
 def examples(name: str, value: object) -> doctest.DocTest:
     """The examples of a docstring."""
-    text = inspect.cleandoc(inspect.getdoc(value) or "") if callable(value) or isinstance(value, property) else ""
-    return doctest.DocTestParser().get_doctest(text, {"wd": wd}, name, None, None)
+    text = inspect.getdoc(value) or "" if callable(value) or isinstance(value, property) else ""
+    return doctest.DocTestParser().get_doctest(text, {"np": np, "wd": wd}, name, None, None)
 
 
 @pytest.mark.parametrize("name", public_names())

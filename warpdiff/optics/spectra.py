@@ -47,8 +47,8 @@ class Spectrum:
 
     Examples:
         >>> import warpdiff as wd
-        >>> lamp = wd.Spectrum([380.0, 580.0, 780.0], [0.0, 1.0, 0.2], name="LED")
-        >>> light = wd.DirectionalLight([0.0, 0.0, 1.0], illuminant=lamp)
+        >>> diode = wd.Spectrum([380.0, 580.0, 780.0], [0.0, 1.0, 0.2], name="LED")
+        >>> light = wd.DirectionalLight([0.0, 0.0, 1.0], illuminant=diode)
         >>> print(light.illuminant)
         LED
     """
@@ -148,10 +148,10 @@ class Spectrum:
         Examples:
             >>> import pathlib, tempfile
             >>> import warpdiff as wd
-            >>> file = pathlib.Path(tempfile.mkdtemp()) / "lamp.csv"
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "diode.csv"
             >>> _ = file.write_text("nm,power\n380,0.1\n580,1\n780,0.2\n")
             >>> print(wd.Spectrum.from_csv(file))
-            lamp
+            diode
         """
         file = validation.path(path, "path")
         rows = []
