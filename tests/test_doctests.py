@@ -64,6 +64,8 @@ def test_examples_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
     report: list[str] = []
-    for member, value in members(name):
-        runner.run(examples(member, value), out=report.append)
+    # Other tests may have imported packages that change how NumPy prints numbers.
+    with np.printoptions(legacy=False):
+        for member, value in members(name):
+            runner.run(examples(member, value), out=report.append)
     assert not runner.failures, "".join(report)

@@ -26,8 +26,9 @@ _DAYLIGHT_K = (4000.0, 25_000.0)
 
 def colour_science() -> Any:
     """Import colour-science when it is first needed."""
-    with warnings.catch_warnings():
-        # At import, colour-science warns of absent optional packages. This package uses none of them.
+    with warnings.catch_warnings(), np.printoptions():
+        # At import, colour-science warns of absent optional packages, none of which this package uses, and sets NumPy's
+        # print options, which belong to the user.
         warnings.simplefilter("ignore")
         import colour
 
