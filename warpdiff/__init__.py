@@ -17,9 +17,9 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-# Forks wait for what other threads import below, once it is asked for.
+# This import makes forks wait for the imports of other threads, which happen at the first use of a name.
 from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ _ALIASES = {"gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name once it is asked for: the command line meets signals before anything slow is imported."""
+def __getattr__(name: str) -> object:
+    """Import a public name at its first use, so that the command line handles signals before slow imports."""
     if name in _MODULE_OF:
         value = getattr(import_module(f"warpdiff.{_MODULE_OF[name]}"), name)
     elif name in _ALIASES:

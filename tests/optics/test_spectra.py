@@ -91,7 +91,7 @@ def test_bad_spectra_are_refused(message):
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.csv").write_text("nothing")
-    with pytest.raises(ValueError, match=r"a\.csv: there are no two columns of numbers"):
+    with pytest.raises(ValueError, match=r"a\.csv must have two columns of numbers"):
         wd.Spectrum.from_csv(tmp_path / "a.csv")
     with pytest.raises(FileNotFoundError, match="path: there is no file"):
         wd.Spectrum.from_csv(tmp_path / "b.csv")

@@ -1,5 +1,5 @@
-"""Helpers that know nothing of diffraction; no Warp.
+"""Helpers without diffraction: options, validation, errors, caches, files, memory, threads, forks; no Warp.
 
-In: arguments of callers, files, work to be divided.
+In: arguments of callers, files, work for several threads.
 Out: checked values, errors that name arguments, atomic file writes, caches, thread pools, fork safety.
 """

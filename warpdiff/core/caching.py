@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from warpdiff.core import forks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable
 
 _T = TypeVar("_T")
-# One lock for all caches: their calls are short, and a fork waits for it.
+# All caches share one lock, because their calls are short. A fork waits for it.
 _lock = forks.lock()
 
 
@@ -30,32 +30,32 @@ class LruCache(Generic[_T]):
             bytes_of: Function of a value that returns its number of bytes.
         """
         self._most, self._most_bytes, self._bytes_of = most, most_bytes, bytes_of
-        self._values: OrderedDict[Any, _T] = OrderedDict()
+        self._values: OrderedDict[Hashable, _T] = OrderedDict()
 
-    def __contains__(self, key: Any) -> bool:
+    def __contains__(self, key: Hashable) -> bool:
         return key in self._values
 
     def __len__(self) -> int:
         return len(self._values)
 
-    def get(self, key: Any) -> _T | None:
-        """The value of a key, which is then the most recently used one; None if there is none."""
+    def get(self, key: Hashable) -> _T | None:
+        """Return the value of a key, or None; the key becomes the most recently used one."""
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # The key stays the one that was put, as the caller's may change.
+                # `move_to_end` keeps the stored key; the caller's equal key may change later.
                 self._values.move_to_end(key)
             return value
 
-    def put(self, key: Any, value: _T) -> None:
+    def put(self, key: Hashable, value: _T) -> None:
         """Set the value of a key."""
         with _lock:
             self._values.pop(key, None)
             self._values[key] = value
             self._trim()
 
-    def get_or_make(self, key: Any, make: Callable[[], _T]) -> _T:
-        """The value of a key, made now if there is none; of threads that make the same, all get the first one's."""
+    def get_or_make(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """Return the value of a key; make it if there is none. Threads that make it at once all get the first value."""
         cached = self.get(key)
         if cached is not None:
             return cached
@@ -77,7 +77,7 @@ class LruCache(Generic[_T]):
             return sum(self._bytes_of(value) for value in self._values.values())
 
     def _trim(self) -> None:
-        """Remove the least recently used values until the rest is within bounds."""
+        """Remove the least recently used values until the others are within the bounds."""
         for oldest in list(self._values)[:-1]:
             if len(self._values) <= self._most and self.nbytes <= self._most_bytes:
                 break

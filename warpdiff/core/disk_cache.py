@@ -1,4 +1,4 @@
-"""Disk cache of arrays that took long to compute, for other processes; it removes the least recently used ones.
+"""Disk cache of arrays that are slow to compute, shared by processes; it deletes the least recently used files.
 
 The folder is ``WARPDIFF_CACHE_DIR``, or ``warpdiff`` in the user's cache folder; an empty name disables the cache.
 """
@@ -21,21 +21,21 @@ from warpdiff.core.files import atomic_write
 from warpdiff.kernels import thresholds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from io import BufferedRandom, BufferedReader
 
     from numpy.typing import NDArray
 
-# Limit: size of all files [bytes].
+# Limit on the size of all files together [bytes]. A larger limit only uses more disk.
 MOST_BYTES = 2**30
-# Arrays that are computed faster are not written to a file [s].
+# Shortest computation whose arrays are written to a file [s]; faster ones are repeated in each process.
 _LEAST_SECONDS = 0.25
-# Size of a SHA-256.
+# Size of a SHA-256 [bytes].
 _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
 _TEMPORARY = re.compile(rf"\.warpdiff-[0-9a-f]{{16}}\{_UNFINISHED}")
-# A file that is being written changes more often [s].
+# Age from which an unfinished file is taken for one of a process that was killed [s]: an hour without a write.
 _STALE_SECONDS = 3600.0
 
 
@@ -53,13 +53,13 @@ class Entry(NamedTuple):
     path: Path
 
 
-def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return arrays by name, from the cache, or made and then cached.
+def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return arrays by name from the cache; without an entry, make them and store them.
 
     Args:
         key: Identifies the arrays by its ``repr``.
         heights: Heights that the arrays depend on.
-        make: Function that makes the arrays; another version of the package, or of NumPy, makes others.
+        make: Function that makes the arrays. Its result may depend on the versions of the package and of NumPy.
     """
     folder = cache_folder()
     if folder is None:
@@ -74,7 +74,7 @@ def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], di
     begin = time.perf_counter()
     made = make()
     if time.perf_counter() - begin >= _LEAST_SECONDS:
-        # A full disk or a folder that is not writable costs time, not pictures.
+        # On a full disk, or in a folder that is not writable, the result is used without being stored.
         with contextlib.suppress(OSError):
             _write(path, digest.digest(), made)
             trim(folder, MOST_BYTES)
@@ -83,10 +83,10 @@ def cached_on_disk(key: Any, heights: NDArray[np.float64], make: Callable[[], di
 
 @functools.cache
 def _code_digest(*folders: Path) -> str:
-    """Hash of the code in folders: unlike a version, it changes with every change that may change arrays."""
+    """Hash of the code in folders, which changes with every edit that may change arrays; a version number does not."""
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # An editor's mark of an open file is a link to nothing.
+        # Some editors mark an open file by a link whose target does not exist.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -100,7 +100,7 @@ def cache_folder() -> Path | None:
     try:
         return _user_folder()
     except RuntimeError:
-        # A user without a home.
+        # The user has no home folder.
         return None
 
 
@@ -113,9 +113,9 @@ def _user_folder() -> Path:
 
 
 def _read(path: Path, key: bytes) -> dict[str, Any] | None:
-    """The arrays of a file; one that is damaged, or belongs to another key, is deleted and gives None."""
+    """Return the arrays of a file; delete a file that is damaged or has another key, and return None."""
     arrays = None
-    # A damaged archive makes NumPy and zipfile raise errors of many types; it must not do so again each time.
+    # A damaged archive makes NumPy and zipfile raise errors of many types.
     with contextlib.suppress(Exception), path.open("rb") as file:
         if file.read(_CHECKSUM_BYTES) == _checksum(file, key):
             file.seek(_CHECKSUM_BYTES)
@@ -125,13 +125,13 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
         if arrays is None:
             path.unlink()
         else:
-            # The file was used now; a folder may be shared and read-only.
+            # The time of the last use is now; in a shared, read-only folder it cannot be set.
             os.utime(path)
     return arrays
 
 
-def _write(path: Path, key: bytes, arrays: dict[str, Any]) -> None:
-    """A checksum, then the archive."""
+def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
+    """Write a file: a checksum, followed by the archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # The checksum reveals a file that a crash of the system has left incomplete.
     with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
@@ -143,7 +143,7 @@ def _write(path: Path, key: bytes, arrays: dict[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """The checksum of all that follows it, and of the key, so that no file can stand in for another."""
+    """Checksum of the key and of the archive, so that a file is never read for another key."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 
@@ -161,7 +161,7 @@ def trim(folder: Path, most_bytes: int) -> None:
         if total > most_bytes:
             path.unlink(missing_ok=True)
     for changed, _, path in _matching_files(folder, _TEMPORARY):
-        # Other processes may be writing theirs.
+        # Other processes may still be writing newer ones.
         if changed < time.time() - _STALE_SECONDS:
             path.unlink(missing_ok=True)
 
@@ -173,7 +173,7 @@ def clear(folder: Path) -> None:
 
 
 def _matching_files(folder: Path, name: re.Pattern[str]) -> list[Entry]:
-    """Files of a folder by a pattern of their names; other processes may delete them meanwhile."""
+    """Files of a folder whose names match a pattern; other processes may delete some meanwhile."""
     files = []
     with contextlib.suppress(FileNotFoundError):
         for path in folder.iterdir():

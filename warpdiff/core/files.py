@@ -32,11 +32,11 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
     try:
-        # The system applies the process's umask, which no thread can read without changing it.
+        # `os.open` applies the umask of the process; reading the umask would change it for other threads.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # A file system may allocate late, and report only now that it is full.
+            # File systems with delayed allocation report only here that the disk is full.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)
@@ -57,14 +57,14 @@ def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, comp
 
 
 def discard_unfinished() -> None:
-    """Delete unfinished files of this process, when it ends without leaving its contexts."""
+    """Delete the unfinished files of this process; for a process that ends without leaving its contexts."""
     for temporary in tuple(_unfinished):
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
 def check_folder(folder: Path, name: str) -> None:
-    """Refuse a folder in which no file can be made; ``name`` is the argument that names it."""
+    """Refuse a folder that does not exist or is not writable; ``name`` is the argument for the message."""
     if not folder.is_dir():
         raise marked(FileNotFoundError, f"{ref(name)}: the folder {str(folder)!r} does not exist; create it first")
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -72,7 +72,7 @@ def check_folder(folder: Path, name: str) -> None:
 
 
 def check_file(file: Path) -> None:
-    """Refuse a path, the argument ``path``, at which there is no file."""
+    """Raise an error that names the argument ``path`` if a file does not exist."""
     if not file.is_file():
         raise marked(FileNotFoundError, f"{ref('path')}: there is no file {str(file)!r}")
 
@@ -95,7 +95,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Name a file, the argument ``path``, in errors of the argument that its content becomes."""
+    """Name the file in errors of an argument whose value was read from it; the file is the argument ``path``."""
     try:
         yield
     except ArgumentValueError as error:

@@ -1,4 +1,4 @@
-"""Memory: requests that exceed it are refused before work begins; allocations that fail raise one kind of error."""
+"""Memory limits: requests that exceed free memory raise ``MemoryError`` before work starts, with a remedy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from warpdiff.core.wording import marked
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Limit: arrays are indexed by an int32.
+# Limit on the number of elements of an array, because kernels index arrays by an int32; a larger index overflows.
 MOST_ELEMENTS = 2**31 - 1
-_GROUPS, _OWN_GROUPS, _NO_LIMIT = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"), 2**60
-# Messages of NumPy and Warp, the latter in a RuntimeError.
+_GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+# Limit of a control group that means "no limit" [bytes]: more memory than any machine has.
+_NO_LIMIT = 2**60
+# Messages of failed allocations: NumPy raises a MemoryError, Warp a RuntimeError.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# As measured, while sample fields and bodies are made.
-_BYTES_A_SAMPLE, _BYTES_A_FACE = 80.0, 160.0
+# Memory at the peak while a sample field or body is made [bytes per height sample, bytes per face], as measured.
+# Doubled values refuse requests that would fit.
+_BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
 
 def require_memory(needed: float, what: str, remedy: str) -> None:
@@ -29,15 +32,15 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
 
     Args:
         needed: Estimated number of bytes.
-        what: Noun phrase of what requires them.
-        remedy: What to do instead; ``{share}`` in it is the share that would fit, ``{side}`` its square root.
+        what: Noun phrase that names the object, for the message.
+        remedy: Advice; ``{share}`` in it becomes the share that would fit, ``{side}`` the square root of that share.
 
     Raises:
         MemoryError: Fewer bytes are free.
     """
     free = available()
     if needed > free:
-        # Rounded, it is not to be more.
+        # The factor of 0.9 leaves a margin for the rounding to two digits.
         share = 0.9 * max(free, 0.0) / needed
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         size = f"about {needed / 1e9:.2g} GB, and {max(free, 0.0) / 1e9:.2g} GB are free"
@@ -45,17 +48,17 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
 
 
 def require_samples(ny: int, nx: int, remedy: str) -> None:
-    """Refuse a height field of more samples than fit into memory while it is made; see `require_memory`."""
-    require_memory(_BYTES_A_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
+    """Refuse to make a height field that does not fit into memory; see `require_memory`."""
+    require_memory(_BYTES_PER_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
 
 
 def require_faces(count: int, remedy: str) -> None:
-    """Refuse a mesh of more faces than fit into memory while it is made; see `require_memory`."""
-    require_memory(_BYTES_A_FACE * count, f"a mesh of {count} faces", remedy)
+    """Refuse to make a mesh that does not fit into memory; see `require_memory`."""
+    require_memory(_BYTES_PER_FACE * count, f"a mesh of {count} faces", remedy)
 
 
 def available() -> float:
-    """Bytes that this process may still allocate, as far as the system reports them; infinite where it does not."""
+    """Return the number of bytes that this process can still allocate; infinite if the system does not report it."""
     free = math.inf
     try:
         fields = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
@@ -74,7 +77,7 @@ def available() -> float:
     for limit, usage, statistics in _limits_of_groups():
         with contextlib.suppress(OSError, ValueError):
             numbers = dict(line.split() for line in statistics.read_text().splitlines())
-            # Files that were read or written long ago give way.
+            # The kernel frees its cache of inactive files when memory is needed.
             cached_files = int(numbers.get("total_inactive_file", numbers.get("inactive_file", "0")))
             free = min(free, float(limit - int(usage.read_text()) + cached_files))
     return free
@@ -82,10 +85,10 @@ def available() -> float:
 
 @functools.cache
 def _limits_of_groups() -> list[tuple[int, Path, Path]]:
-    """Limits of the control groups that this process is in, as in a container or under a scheduler, at the first call.
+    """Memory limits [bytes] of the control groups of this process, as in a container, at the first call.
 
-    Each has the files of its usage and of its statistics. The kernel documents them for either version:
-    cgroup-v2.rst, and cgroup-v1/memory.rst.
+    Each limit comes with the group's files of usage and of statistics. The documentation of the Linux kernel describes
+    both versions: cgroup-v2.rst and cgroup-v1/memory.rst.
     """
     limits = []
     with contextlib.suppress(OSError):
@@ -95,10 +98,10 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             most, usage = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
             top = _GROUPS / controllers
             group = top / path.lstrip("/")
-            # Any of those above it may have one; within a container only the top is visible.
+            # Every parent group may have a limit too. In a container only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # It is "max" where there is none, or more than any machine has.
+                    # Without a limit the file contains "max", or a huge number in version 1.
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:
                         limits.append((limit, folder / f"memory.{usage}", folder / "memory.stat"))
@@ -107,14 +110,14 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
 
 @contextlib.contextmanager
 def as_memory_error(what: str, remedy: str) -> Iterator[None]:
-    """Turn allocations of NumPy and Warp that fail in the context into an error in the words of `require_memory`.
+    """Turn failed allocations of NumPy and Warp in the context into a ``MemoryError`` like that of `require_memory`.
 
-    A request whose bytes are known is refused before it begins. Other processes may allocate memory meanwhile, and an
-    address space may end before memory does.
+    A check before work starts is not enough: other processes may allocate memory meanwhile, and the address space may
+    be smaller than the free memory.
 
     Args:
-        what: Noun phrase of what was requested.
-        remedy: What to do instead.
+        what: Noun phrase that names the object, for the message.
+        remedy: Advice, for the message.
 
     Raises:
         MemoryError: An array did not fit.
@@ -124,7 +127,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:
         refused = _REFUSED.search(str(error))
         if refused is None and (error.args or not isinstance(error, MemoryError)):
-            # Another error, or one that says so already.
+            # This is another error, or one that has a full message.
             raise
         raise marked(MemoryError, _description(refused, what, remedy)) from error
 
@@ -132,7 +135,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
 def _description(refused: re.Match[str] | None, what: str, remedy: str) -> str:
     free = f"{max(available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
     if refused is None:
-        # Python itself does not say how much it was.
+        # An allocation by Python itself has no message.
         return f"{what} requires more memory than is free; {free}"
     size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
     if refused["device"] in (None, "cpu"):

@@ -1,4 +1,4 @@
-"""OpenImageIO and forks: before a fork its threads end, and its calls are waited for, as they hold locks."""
+"""OpenImageIO and forks: before a fork its calls finish, because they use locks, and its threads end."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Limit: longest time that a fork waits for calls of other threads [s].
+# Limit on the time that a fork waits for calls of other threads [s]; after it, the child process refuses calls.
 _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """Number of contexts that use the library, and its thread counts outside of them."""
+    """Counter of the contexts that use the library, with the thread counts to restore after them."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -30,13 +30,14 @@ class _Library:
     def in_use(self) -> Iterator[Any]:
         """Provide the library, which reads and writes EXR files on the calling thread within the context.
 
-        A child of a fork would wait for ever for the threads that OpenEXR keeps, and for locks that another thread
-        held, such as those of OpenColorIO: a fork waits up to a second for the end of all contexts.
+        A child process would wait for ever for OpenEXR's threads, which exist in the parent only. It would also wait
+        for locks that another thread had, such as those of OpenColorIO. A fork therefore waits up to a second for the
+        end of all contexts.
 
         Raises:
             RuntimeError: This process was forked while another thread used the library.
         """
-        import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+        import OpenImageIO as oiio  # noqa: N813 (the name that its manual uses)
 
         with self._changed:
             self._changed.wait_for(lambda: not self._forking)
@@ -62,7 +63,7 @@ class _Library:
         self._forking = True
         self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
-        # Unless it is being imported.
+        # While another thread imports it, the module has no such function yet.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set_threads(1)
 

@@ -1,4 +1,4 @@
-"""Progress of long work: a callable that the caller gives, or a bar."""
+"""Progress of long work: a callable of the caller, or a progress bar."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from warpdiff.core.wording import ArgumentTypeError, ref
 
 Progress = Callable[[float], None] | bool | None
-# Limit: work that takes less shows no bar [s].
+# Shortest work that shows a bar [s]. If doubled, a user waits two seconds without a sign of progress.
 _DELAY_S = 1.0
 
 
 class _Bar:
-    """A tqdm bar over the share of the work that is done."""
+    """Progress bar by tqdm, over the finished share of the work."""
 
     def __init__(self, name: str) -> None:
         if "ipykernel" in sys.modules:
@@ -34,7 +34,7 @@ class _Bar:
 
 
 def reporter(progress: Progress, name: str) -> Callable[[float], None] | None:
-    """Return the callable that reports progress: the given one, a bar for True, None for None and False."""
+    """Return a callable that reports progress: ``progress`` itself, a bar for True, or None for None and False."""
     if isinstance(progress, bool):
         return _Bar(name) if progress else None
     if progress is not None and not callable(progress):

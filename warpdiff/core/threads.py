@@ -1,8 +1,8 @@
 """Threads: parallel loops, and linear algebra of NumPy and SciPy on one thread.
 
-Their library's other threads wait for a next call by spinning: while kernels compile, or slices are rendered, they
-only take a core. Sums over fewer or more threads need not be the same to the bit. And OpenBLAS waits for
-ever in a fork while another thread's call is shared out among its threads.
+Linear algebra on several threads has three drawbacks. Idle threads of OpenBLAS spin and take cores from compilers and
+from kernels. The rounding of a sum depends on the number of threads. A child process waits for ever if it was forked
+while OpenBLAS divided another thread's call among its threads.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -23,14 +23,23 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-_NONE = object()
+    from threadpoolctl import LibController
+
+_T = TypeVar("_T")
 
 
-class _Work:
-    """Work on items: a thread that is free takes the next one."""
+class _None:
+    """Marks the end of the items."""
+
+
+_NONE = _None()
+
+
+class _Work(Generic[_T]):
+    """Loop over items on several threads; a free thread takes the next item."""
 
     def __init__(
-        self, work: Callable[[Any], None], items: Sequence[Any], progress: Callable[[float], None] | None
+        self, work: Callable[[_T], None], items: Sequence[_T], progress: Callable[[float], None] | None
     ) -> None:
         self._work, self._remaining, self._count, self._progress = work, iter(items), len(items), progress
         self._lock, self._reporting = threading.Lock(), threading.Lock()
@@ -39,11 +48,11 @@ class _Work:
         self._futures: list[Future[None]] = []
 
     def finish(self, threads: int) -> None:
-        """Work on so many threads, of which this is one, until all is done; the first error ends it, and is raised."""
+        """Run the loop on this thread and ``threads`` − 1 others; the first error ends it and is raised."""
         others = min(threads, self._count) - 1
-        # More threads than the pool has end with the work.
+        # If the pool has too few threads, this loop gets threads of its own, which end with it.
         own = ThreadPoolExecutor(others) if others > cores() else None
-        # Fewer threads start where there is no memory for a thread.
+        # Without memory for another thread, the loop continues on fewer threads.
         with contextlib.suppress(RuntimeError):
             for _ in range(others):
                 self._futures.append((own or _pool()).submit(self._run))
@@ -51,33 +60,33 @@ class _Work:
             self._run()
         finally:
             if not self._is_cut_off:
-                # Futures that have not begun may never do so, as the pool's threads may wait for this thread.
+                # Futures that have not started are cancelled: the threads of the pool may be waiting for this thread.
                 self._futures = [future for future in self._futures if not future.cancel()]
                 wait(self._futures)
                 if own is not None:
                     own.shutdown(wait=False)
         if self._is_cut_off:
-            raise RuntimeError(f"this process was forked in the midst of work on several threads: {forks.REMEDY}")
+            raise RuntimeError(f"this process was forked during work on several threads: {forks.REMEDY}")
         for future in self._futures:
             future.result()
 
     def _run(self) -> None:
-        """Work until none is left."""
+        """Take items until none is left."""
         try:
             while not self._is_cut_off:
                 with self._lock:
                     item = next(self._remaining, _NONE)
-                if item is _NONE:
+                if isinstance(item, _None):
                     return
                 self._work(item)
                 self._report()
         except BaseException:
-            # Items that no thread has begun are dropped.
+            # Items that no thread has started are dropped.
             self._remaining = iter(())
             raise
 
     def _report(self) -> None:
-        """Report progress, one thread at a time; meanwhile the others take the remaining items."""
+        """Report progress, one thread at a time, while other threads continue with the remaining items."""
         with self._reporting:
             self._done += 1
             if self._progress is not None:
@@ -85,30 +94,29 @@ class _Work:
 
     @property
     def _is_cut_off(self) -> bool:
-        """Whether other threads worked when this process was forked: they exist in the parent only."""
+        """Whether this process was forked during the loop; the loop's other threads exist in the parent only."""
         return bool(self._futures) and os.getpid() != self._process
 
 
 def parallel_for(
-    work: Callable[[Any], None], items: Sequence[Any], *, threads: int, progress: Callable[[float], None] | None = None
+    work: Callable[[_T], None], items: Sequence[_T], *, threads: int, progress: Callable[[float], None] | None = None
 ) -> None:
-    """Call ``work`` for each item: a thread that is free takes the next one.
+    """Call ``work`` for each item, on at most ``threads`` threads including the calling one.
 
-    There are at most ``threads`` threads, the calling one included. ``progress`` is called with the share of the items
-    that is done.
+    A free thread takes the next item. ``progress`` is called with the finished share of the items.
     """
     _Work(work, items, progress).finish(threads)
 
 
 def subprogress(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
-    """Return the progress of a part of the work, from the share ``begin`` to the share ``end`` of all."""
+    """Return a function that reports progress of a part of the work, from the share ``begin`` to the share ``end``."""
     if progress is None:
         return None
     return lambda share: progress(begin + (end - begin) * share)
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
-    """Yield slices of decreasing size, so that threads finish together."""
+    """Yield slices of decreasing size, so that all threads finish at about the same time."""
     first = 0
     while first < size:
         end = min(first + min(max((size - first) // (2 * threads), least), most), size)
@@ -123,23 +131,23 @@ def cores() -> int:
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    """Threads that stay, one per core: to start them takes as long as a small launch."""
+    """Thread pool for the whole process, one thread per core; starting threads takes as long as a small launch."""
     return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
 
 
-# A child has none of its parent's threads.
+# A child process has no threads of its parent, so it makes a new pool.
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
-# The number of contexts, and the libraries' numbers of threads before the first context began.
+# Number of active contexts; thread counts of the libraries before the first of them.
 _contexts = 0
-_former: dict[str, tuple[Any, int]] = {}
+_former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()
 
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Keep linear algebra to one thread within the context."""
+    """Restrict linear algebra to one thread within the context."""
     global _contexts  # noqa: PLW0603 (of one process, under a lock)
     libraries = _libraries("scipy.linalg" in sys.modules)
     with _lock:
@@ -159,13 +167,13 @@ def single_threaded_blas() -> Iterator[None]:
                 _end()
 
 
-def _has_count_per_thread(library: Any) -> bool:
-    """Whether the number of threads that a library uses is set for each calling thread separately."""
+def _has_count_per_thread(library: LibController) -> bool:
+    """Whether each calling thread of a library has its own setting of the number of threads (OpenMP)."""
     return bool(library.threading_layer == "openmp")
 
 
-def _set(library: Any, number: int) -> None:
-    """Set the number from any thread: threadpoolctl allows only the thread that did so first."""
+def _set(library: LibController, number: int) -> None:
+    """Set the number of threads; threadpoolctl would otherwise refuse all threads but the first that set it."""
     if hasattr(library, "clear_controlling_thread"):
         library.clear_controlling_thread(force=True)
     library.set_num_threads(number)
@@ -173,13 +181,13 @@ def _set(library: Any, number: int) -> None:
         library.clear_controlling_thread(force=True)
 
 
-def _restore(libraries: Iterable[tuple[Any, int]]) -> None:
+def _restore(libraries: Iterable[tuple[LibController, int]]) -> None:
     for library, number in libraries:
         _set(library, number)
 
 
 def _end() -> None:
-    """Restore the former numbers, after the last context or in a child of a fork."""
+    """Restore the former thread counts, after the last context or in a child process."""
     global _contexts  # noqa: PLW0603 (of one process, under a lock)
     _restore(_former.values())
     _former.clear()
@@ -190,6 +198,6 @@ forks.at_fork(after_in_child=_end)
 
 
 @functools.cache
-def _libraries(_with_scipy: bool) -> list[Any]:
-    """Libraries of linear algebra that are loaded; SciPy's is loaded once something needs it."""
+def _libraries(_with_scipy: bool) -> list[LibController]:
+    """Loaded libraries of linear algebra. The argument separates lists before and after SciPy loads its own."""
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

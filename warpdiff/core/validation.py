@@ -1,4 +1,4 @@
-"""Validation of arguments: one clear error that names the argument and the remedy, before any kernel runs."""
+"""Validation of arguments before any kernel runs; an error names the argument, the value, the rule and the remedy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeGuard, TypeVar, cast
 
 import numpy as np
 
@@ -17,28 +17,29 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Limits of magnitudes in any unit: values beyond mean nothing, and their powers overflow or vanish.
+_Choice = TypeVar("_Choice", bound=str | int)
+# Limits of magnitudes in any unit. Beyond them, powers of the values overflow or vanish in float32 sums.
 MOST, LEAST = 1e15, 1e-15
-# Limit of integers: an int64.
+# Limit on integers, the largest int64; larger ones overflow.
 MOST_COUNT = 2**63 - 1
 
 
 def finite_array(
-    value: Any, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
+    value: object, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
 ) -> NDArray[np.float64]:
     """Return ``value`` as a new float64 array; refuse values that are not numeric, not finite, or of another rank.
 
-    A masked element is NaN, which passes with ``gaps``; magnitudes are at most ``most``.
+    Masked elements become NaN. With ``gaps``, NaN is accepted. Magnitudes above ``most`` are refused.
     """
     try:
         numbers = np.asarray(value)
     except (TypeError, ValueError):
-        numbers = None  # rows of different lengths
+        numbers = None  # the rows have different lengths
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     array = np.array(numbers, dtype=np.float64)
     if isinstance(value, np.ma.MaskedArray):
-        # A masked element may have any value, often the instrument's code for no signal.
+        # The data of a masked element may be any number, such as an instrument's code for "no signal".
         array[np.ma.getmaskarray(value)] = np.nan
     if ndim is not None and array.ndim != ndim:
         raise ArgumentValueError(f"{ref(name)} must be a {ndim}-D array, got shape {array.shape}")
@@ -52,7 +53,7 @@ def finite_array(
 
 
 def range_text(above: float | None, least: float | None, most: float | None) -> str:
-    """Return the range of a number in words, such as ``"more than 0 and at most 0.5"``; empty if it has no bounds."""
+    """Return a range in words, such as ``"more than 0 and at most 0.5"``; an empty string if there are no bounds."""
     words = (("more than", above), ("at least", least), ("at most", most))
     numbers = (
         (word, bound if isinstance(bound, int) else f"{bound:g}")
@@ -62,12 +63,14 @@ def range_text(above: float | None, least: float | None, most: float | None) -> 
     return " and ".join(f"{word} {bound}" for word, bound in numbers)
 
 
-def described(value: Any) -> str:
+def described(value: object) -> str:
     """Return type and value of an argument of the wrong type, such as ``str 'low'``."""
     return type(value).__name__ if value is None else f"{type(value).__name__} {value!r:.40}"
 
 
-def number(value: Any, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST) -> float:
+def number(
+    value: object, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST
+) -> float:
     """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ArgumentTypeError(f"{ref(name)} must be a number, got {described(value)}")
@@ -86,7 +89,7 @@ def number(value: Any, name: str, *, above: float = -math.inf, least: float = -m
     return result
 
 
-def positive(value: Any, name: str, *, most: float = MOST) -> float:
+def positive(value: object, name: str, *, most: float = MOST) -> float:
     """Return ``value`` as a finite float > 0, at least ``LEAST``."""
     result = number(value, name, above=0.0, most=most)
     if result < LEAST:
@@ -94,7 +97,7 @@ def positive(value: Any, name: str, *, most: float = MOST) -> float:
     return result
 
 
-def count(value: Any, name: str, *, least: int = 1, most: int = MOST_COUNT) -> int:
+def count(value: object, name: str, *, least: int = 1, most: int = MOST_COUNT) -> int:
     """Return ``value`` as an integer from ``least`` to ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise ArgumentTypeError(f"{ref(name)} must be an integer, got {described(value)}")
@@ -106,12 +109,12 @@ def count(value: Any, name: str, *, least: int = 1, most: int = MOST_COUNT) -> i
     return int(value)
 
 
-def is_sequence(value: Any) -> bool:
-    """Whether ``value`` is a tuple, a list or an array that has a length."""
+def is_sequence(value: object) -> TypeGuard[tuple[object, ...] | list[object] | np.ndarray]:
+    """Whether ``value`` is a tuple, a list, or an array of at least one dimension."""
     return isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
-def pair(value: Any, name: str) -> tuple[float, float]:
+def pair(value: object, name: str) -> tuple[float, float]:
     """Return a positive scalar, or a pair in the order (y, x), as a pair of positive floats."""
     if is_sequence(value):
         if len(value) != 2:
@@ -121,7 +124,7 @@ def pair(value: Any, name: str) -> tuple[float, float]:
     return single, single
 
 
-def vector(value: Any, name: str) -> NDArray[np.float64]:
+def vector(value: object, name: str) -> NDArray[np.float64]:
     """Return ``value`` as a finite float64 vector of shape (3,)."""
     array = finite_array(value, name)
     if array.shape != (3,):
@@ -129,7 +132,7 @@ def vector(value: Any, name: str) -> NDArray[np.float64]:
     return array
 
 
-def numbers(value: Any, name: str, *, length: int) -> tuple[float, ...]:
+def numbers(value: object, name: str, *, length: int) -> tuple[float, ...]:
     """Return ``value`` as a tuple of ``length`` finite floats."""
     array = finite_array(value, name, most=MOST)
     if array.shape != (length,):
@@ -139,14 +142,14 @@ def numbers(value: Any, name: str, *, length: int) -> tuple[float, ...]:
     return tuple(array.tolist())
 
 
-def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
-    """Return directions as unit vectors, shape (n, 3), and whether ``value`` was a single one of shape (3,)."""
+def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
+    """Return directions as unit vectors, shape (n, 3), and whether ``value`` was one direction of shape (3,)."""
     array = finite_array(value, name)
     if array.ndim not in (1, 2) or array.shape[-1] != 3:
         raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
     single = array.ndim == 1
     array = np.atleast_2d(array)
-    # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
+    # Division by the largest component first prevents underflow and overflow of the squares.
     largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
     if not np.all(largest > 0.0):
         raise ArgumentValueError(
@@ -157,8 +160,8 @@ def directions(value: Any, name: str) -> tuple[NDArray[np.float64], bool]:
     return array, single
 
 
-def light_and_view(to_light: Any, to_view: Any) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Return ``to_light`` and ``to_view`` as unit vectors, both of shape (n, 3), and whether both were single."""
+def light_and_view(to_light: object, to_view: object) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Return both arguments as unit vectors of shape (n, 3), and whether both were one direction."""
     lights, one_light = directions(to_light, "to_light")
     views, one_view = directions(to_view, "to_view")
     if len(lights) != len(views) and 1 not in (len(lights), len(views)):
@@ -170,35 +173,35 @@ def light_and_view(to_light: Any, to_view: Any) -> tuple[NDArray[np.float64], ND
     return np.broadcast_to(lights, shape), np.broadcast_to(views, shape), one_light and one_view
 
 
-def choice(value: Any, name: str, options: Collection[Any]) -> Any:
+def choice(value: object, name: str, options: Collection[_Choice]) -> _Choice:
     """Return ``value`` if it is one of ``options``."""
     if not isinstance(value, (str, int)) or isinstance(value, bool) or value not in options:
         near = did_you_mean(value, [option for option in options if isinstance(option, str)])
         raise ArgumentValueError(f"{ref(name)} must be one of {', '.join(map(repr, options))}, got {value!r}{near}")
-    return value
+    return cast("_Choice", value)
 
 
-def path(value: Any, name: str) -> Path:
-    """Return ``value`` as a path; refuse other types, and names that no file can have."""
+def path(value: object, name: str) -> Path:
+    """Return ``value`` as a path; refuse other types and names that the system does not accept."""
     if not isinstance(value, (str, os.PathLike)):
         raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
     try:
         os.lstat(value)
     except (ValueError, OSError) as error:
-        # Systems accept neither NUL, nor half of a surrogate pair, nor thousands of characters.
+        # The system refuses NUL characters, unpaired surrogates and names of thousands of characters.
         if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
             raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
     return Path(os.fsdecode(value))
 
 
-def instance(value: Any, kind: type, name: str, *, optional: bool = False) -> None:
-    """Refuse values of another type than ``kind``, a class of the package; with ``optional`` None passes."""
+def instance(value: object, kind: type, name: str, *, optional: bool = False) -> None:
+    """Refuse values that are not instances of ``kind``, a class of the package; ``optional`` accepts None."""
     if not isinstance(value, kind) and not (optional and value is None):
         raise ArgumentTypeError(f"{ref(name)} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
 
 
-def flag(value: Any, name: str) -> bool:
-    """Return ``value`` as a bool; a string such as ``"no"`` would count as true and is refused."""
+def flag(value: object, name: str) -> bool:
+    """Return ``value`` as a bool; refuse other types, because a string such as ``"no"`` would count as true."""
     if not isinstance(value, (bool, np.bool_)):
         raise ArgumentTypeError(f"{ref(name)} must be True or False, got {value!r}")
     return bool(value)

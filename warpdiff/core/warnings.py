@@ -1,4 +1,4 @@
-"""Warnings that name the line of the caller, however deep in the package they arise."""
+"""Warnings that name the line of the caller outside the package."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from warpdiff.core.wording import WarpdiffWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-# Modules whose frames lie between the warning and the caller: decorated functions are called from contextlib.
+# Modules whose frames are skipped to find the caller; contextlib calls decorated functions of the package.
 _INNER = (__name__.partition(".")[0], "contextlib")
 
 
 def warn(message: str) -> None:
-    """Warn at the first line outside the package, with a message that marks arguments by ``wording.ref``."""
+    """Warn at the first line outside the package; the message marks arguments by ``wording.ref``."""
     level = 1
     frame: FrameType | None = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:

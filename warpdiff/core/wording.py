@@ -1,8 +1,8 @@
-"""Errors and warnings that know which words in them name arguments, so that each front end prints its own word.
+"""Errors and warnings whose messages mark the names of arguments, so that each front end prints its own names.
 
 A message marks each name of an argument by :func:`ref`. Python prints ``tolerance``, the command line ``--tolerance``,
-the viewer the label of its control. The marks are two characters of Unicode's private area, which ``repr`` escapes in
-what a user gave.
+the viewer the label of its control. The marks are characters of Unicode's private use area. Messages show values of
+users by ``repr``, which escapes such characters.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _MARKED = re.compile(f"{_BEGIN}([^{_VALUE}{_END}]*)(?:{_VALUE}([^{_END}]*))?{_EN
 
 
 def ref(name: str, value: object = None) -> str:
-    """Mark the name of an argument in a message, with a value that it may be set to.
+    """Mark the name of an argument in a message, optionally with a value.
 
     Args:
-        name: The name in Python; a method ends in ``()``, an element or attribute stands behind it, as in
+        name: The name in Python. A method ends in ``()``; an element or attribute follows the name, as in
             ``lights[1].power``.
-        value: What the message proposes for it; None proposes nothing.
+        value: Value of the argument that the message mentions; None mentions no value.
     """
     return f"{_BEGIN}{name}{_END}" if value is None else f"{_BEGIN}{name}{_VALUE}{value!r}{_END}"
 
@@ -44,7 +44,7 @@ def spelled(message: object, word: Callable[[str, str | None], str] = python_wor
 
 
 class _MarkedError(Exception):
-    """Keep the marked text beside the plain one."""
+    """Error with a message in two forms: plain, and with marked arguments as ``marked``."""
 
     def __init__(self, marked: str = "") -> None:
         self.marked = marked
@@ -55,11 +55,11 @@ class _MarkedError(Exception):
 
 
 class ArgumentValueError(_MarkedError, ValueError):
-    """Raised for an argument of a value that is not accepted."""
+    """Raised for an argument whose value is not accepted."""
 
 
 class ArgumentTypeError(_MarkedError, TypeError):
-    """Raised for an argument of a type that is not accepted."""
+    """Raised for an argument whose type is not accepted."""
 
 
 def marked(kind: type[_E], message: str) -> _E:
@@ -70,16 +70,36 @@ def marked(kind: type[_E], message: str) -> _E:
 
 
 class ToleranceError(ArgumentValueError):
-    """Raised where a tolerance cannot be met; the message names the cause and the remedy."""
+    """Raised if a tolerance cannot be met; the message names the cause and the remedy.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(period_um=2.0, depth_um=2.0)
+        >>> try:
+        ...     wd.plan(grating, method="taylor", tolerance=1e-5)
+        ... except wd.ToleranceError as error:
+        ...     print(error)
+        the Taylor series cannot meet tolerance=1e-05: ...
+    """
 
 
 class WarpdiffWarning(_MarkedError, UserWarning):
-    """Something was repaired, excluded, or cannot be trusted; the message says what, by how much, and the remedy."""
+    """Warning that data were changed or excluded, or that a result is unreliable; the message states the remedy.
+
+    Examples:
+        >>> import warnings
+        >>> import warpdiff as wd
+        >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
+        ...     field = wd.HeightField([[0.0, 150.0]], pitch_um=1.0)  # heights in nm by mistake
+        >>> print(caught[0].message)
+        heights_um has a range of 150 µm, more than the size of 2 µm; are heights in nanometres? ...
+    """
 
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Within it, errors name arguments by other words, such as ``path`` by ``--environment``."""
+    """Rename arguments in errors that the context raises, for example ``path`` to ``--environment``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]
@@ -94,6 +114,6 @@ def renaming(words: Mapping[str, str]) -> Iterator[None]:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return ``"; did you mean …?"`` for the known name that is nearest, or nothing."""
+    """Return ``"; did you mean …?"`` with the most similar known name, or an empty string."""
     near = difflib.get_close_matches(name, list(known), n=1) if isinstance(name, str) else []
     return f"; did you mean {near[0]!r}?" if near else ""

@@ -8,7 +8,7 @@ import os
 import sys
 import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import warp as wp
 
@@ -18,24 +18,27 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Iterator, Sequence
 
 
-# Limit: number of threads that compile or load kernels.
+# Limit on the number of threads that compile or load kernels. Each additional thread first reads Warp's headers, which
+# takes seconds.
 _LOADERS = 2
-_loading: dict[Any, Future[Any]] = {}
-# Limit: longest time that a fork waits for kernels that are being compiled or loaded [s].
+_loading: dict[wp.Module, Future[None]] = {}
+# Limit on the time that a fork waits for kernels that are being compiled or loaded [s]. After it, the child process
+# refuses to run kernels.
 _MOST_WAIT_S = 1.0
 
 
-def resolve_device(device: Any) -> wp.Device:
+def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # Unless configured before it starts, Warp prints a banner and a line per module.
+    # By default Warp prints a banner and a line per module.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
-        # In a name such as "~" Warp would find a folder to be made in the present one.
+        # Without a home folder Warp would create a folder named "~" in the working directory.
         wp.config.kernel_cache_dir = _own_folder().name
     _start(asks_for_cuda=device is not None and "cpu" not in str(device))
     try:
@@ -80,17 +83,17 @@ def _without_driver_warning() -> Iterator[None]:
                     os.write(2, line)
 
 
-def resolve_threads(threads: Any) -> int:
-    """Return the number of threads; None is one per core that this process may use."""
+def resolve_threads(threads: int | None) -> int:
+    """Return the number of threads; None selects one per core that this process may use."""
     if threads is None:
         return cores()
     return validation.count(threads, "threads")
 
 
-def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
-    """Begin to compile kernels for the CPU, or to load compiled ones, on other threads.
+def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
+    """Start to compile or load kernels for the CPU on other threads; return their futures.
 
-    The first time a thread compiles it takes seconds for Warp's headers, and two threads do so at the same time.
+    The first compilation on a thread requires seconds for Warp's headers; two threads do this at the same time.
     """
     if not device.is_cpu:
         return []
@@ -98,13 +101,13 @@ def load(kernels: Sequence[Any], device: wp.Device) -> list[Future[Any]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # Launches on the CPU use the module for blocks of one.
+                # Launches on the CPU use modules compiled for blocks of one thread.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
 
-def load_now(kernels: Sequence[Any], device: wp.Device) -> None:
-    """Wait for kernels: threads must not race to compile."""
+def load_now(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
+    """Compile or load kernels and wait for them, so that threads do not compile the same module at once."""
     for loaded in load(kernels, device):
         loaded.result()
 
@@ -114,7 +117,7 @@ def _loaders() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(_LOADERS, cores()), thread_name_prefix="warpdiff-load")
 
 
-def _load(module: Any, device: wp.Device) -> None:
+def _load(module: wp.Module, device: wp.Device) -> None:
     try:
         wp.load_module(module, device, block_dim=1)
     except OSError as error:
@@ -131,46 +134,47 @@ def _has_cache_folder() -> bool:
 
 @functools.cache
 def _own_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder for compiled kernels that is deleted at the end of the process."""
+    """Folder for compiled kernels, which is deleted at the end of the process."""
     warn(
-        "the user has no home folder, and each process compiles the kernels again: set WARP_CACHE_PATH to a writable "
-        "folder"
+        "the user has no home folder, so that every process compiles the kernels again: set WARP_CACHE_PATH to a "
+        "writable folder"
     )
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Work of other threads when this process was forked, which nothing in it can finish.
+# Work of other threads at the moment when this process was forked; it never finishes in this process.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Refuse to wait for work that nothing can finish."""
+    """Raise an error if this process would wait for work that never finishes."""
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
 
 
-def codegen_lock() -> Any:
-    """The lock that Warp, once it is imported, holds while it parses kernels; None if its version has none.
+def codegen_lock() -> threading.Lock | None:
+    """Return the lock that Warp uses while it parses kernels, or None if Warp is not imported or has no such lock.
 
-    It is undocumented. Without it a child may be forked while another thread parses kernels, and wait for ever.
+    The lock is undocumented. A process that was forked while another thread parsed kernels would wait for ever.
     """
     lock = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# Warp's lock, in a fork.
-_acquired: list[Any] = []
-# For a child, the modules that were loaded before the fork: each future has a lock, which another thread may hold.
-_loaded: dict[Any, Future[Any]] = {}
+# Warp's lock, acquired around a fork.
+_acquired: list[threading.Lock] = []
+# Futures for the child process, of the modules that were loaded before the fork. They are new objects, because another
+# thread may have locked the original ones.
+_loaded: dict[wp.Module, Future[None]] = {}
 
 
 def _before_fork() -> None:
-    """Wait up to a second for kernels that are being loaded."""
+    """Wait up to a second for kernels that are being compiled or loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # None is no error: it is then done, with no result.
+            # The exception is None if loading succeeded; the future is then done, without a result.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -184,7 +188,7 @@ def _release() -> None:
 
 
 def _in_child() -> None:
-    """Keep the loaded modules, and note work that was cut off."""
+    """Restore the loaded modules in the child process, and record unfinished work of other threads."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)
@@ -197,7 +201,7 @@ def _in_child() -> None:
         lock.release()
 
 
-# Functions registered last are called first: imports end, no further load begins, and loads in progress end.
+# Functions that are registered last run first: imports finish, no further load starts, and running loads finish.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU: launches are cheap compared with them.
+# Default number of elements per slice on the CPU, so many that the launches are cheap compared with the elements. If
+# doubled, arrays of a slice are more likely to leave the processor's cache.
 ELEMENTS_OF_SLICE = 512
-# A thread takes slices up to this number of elements, or to this part of its share of all elements, before it checks
-# for an interrupt and reports progress.
-_MOST_AT_A_TIME, _TURNS_PER_THREAD = 32_768, 4
+# Limits on the slices that a thread takes at once: their number of elements, and turns per thread over all elements.
+# Between turns a thread checks for an interrupt and reports progress.
+_MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
 @dataclass(frozen=True)
@@ -31,15 +32,16 @@ class KernelCall:
         kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
         inputs: Inputs before ``first``.
         outputs: Arrays that it writes.
-        in_runs: Whether a number ``run`` of indices per thread follows ``first``: a thread on the CPU then reads its
-            arguments, a kilobyte of them for some kernels, once per slice rather than once per index.
+        in_runs: Whether the kernel has another input ``run`` after ``first``, the number of indices per thread. On the
+            CPU a thread then reads its arguments once per slice instead of once per index; some kernels have a kilobyte
+            of them.
         block: Number of elements per index.
-        free: Recorded launches that no thread uses at present.
+        free: Recorded launches that no thread is using.
     """
 
-    kernel: Any
+    kernel: wp.Kernel
     inputs: list[Any]
-    outputs: list[Any]
+    outputs: list[wp.array]
     in_runs: bool = False
     block: int = 1
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
@@ -54,7 +56,7 @@ class KernelCall:
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
-        """Return a recorded launch for the calling thread, which appends it to ``free`` afterwards."""
+        """Return a recorded launch for the calling thread, which must append it to ``free`` after use."""
         try:
             return self.free.pop()
         except IndexError:
@@ -62,7 +64,7 @@ class KernelCall:
 
 
 class _Recorded:
-    """A kernel call that Warp has recorded, for one thread at a time."""
+    """Recorded launch of a kernel call, which one thread at a time can use."""
 
     def __init__(self, step: KernelCall) -> None:
         self._block, self._in_runs, self._first = step.block, step.in_runs, len(step.inputs)
@@ -70,7 +72,7 @@ class _Recorded:
         self._launch = wp.launch(step.kernel, 1, values, device="cpu", record_cmd=True)
 
     def run(self, begin: int, end: int) -> None:
-        """Launch the kernel over elements."""
+        """Launch the kernel over the elements from ``begin`` to ``end``."""
         first, stop = begin // self._block, -(-end // self._block)
         self._launch.set_param_at_index_from_ctype(self._first, first)
         if self._in_runs:
@@ -81,7 +83,7 @@ class _Recorded:
 
 
 class Pipeline:
-    """Kernel calls that follow each other on the CPU."""
+    """Sequence of kernel calls on the CPU."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
         """Wait until the kernels are compiled."""
@@ -92,13 +94,13 @@ class Pipeline:
         """Launch the kernels over elements on the calling thread."""
         self.slices(elements, len(elements), 1)()
 
-    def slices(self, elements: range, size: int, at_a_time: int) -> Callable[[], None]:
-        """Return a function that launches the kernels over the next ``at_a_time`` slices, on any thread."""
+    def slices(self, elements: range, size: int, at_once: int) -> Callable[[], None]:
+        """Return a function that launches the kernels over the next ``at_once`` slices, on any thread."""
         begins, lock = iter(elements[::size]), threading.Lock()
 
         def take() -> None:
             calls = [step.recorded() for step in self._steps]
-            for _ in range(at_a_time):
+            for _ in range(at_once):
                 with lock:
                     begin = next(begins, None)
                 if begin is None:
@@ -112,7 +114,7 @@ class Pipeline:
 
 
 def launch(
-    kernel: Any, size: int, inputs: list[Any], outputs: list[Any], *, in_runs: bool = False, **options: Any
+    kernel: wp.Kernel, size: int, inputs: list[Any], outputs: list[wp.array], *, in_runs: bool = False, **options: Any
 ) -> None:
     """Launch one kernel: see :class:`KernelCall` and, for the options, :func:`launch_pipeline`."""
     launch_pipeline([KernelCall(kernel, inputs, outputs, in_runs)], size, **options)
@@ -122,34 +124,34 @@ def launch_pipeline(
     steps: Sequence[KernelCall], elements: int | range, *, device: wp.Device, threads: int,
     slice_size: int = ELEMENTS_OF_SLICE, progress: Callable[[float], None] | None = None,
 ) -> None:  # fmt: skip
-    """Launch kernels, each of which reads of an element only values that earlier ones wrote of the same element.
+    """Launch kernels in sequence, where each element depends only on the same element of earlier kernels.
 
-    A launch on the CPU is a serial loop that releases the interpreter lock, so that slices run in parallel on threads,
-    each through all kernels. Every index is computed separately, and the result depends neither on the number of
-    threads nor on the slices. On a GPU, and where launches are recorded, all elements are launched at once.
+    On the CPU a launch is a serial loop that releases the interpreter lock. Slices therefore run in parallel on
+    threads, each slice through all kernels. The result depends neither on the number of threads nor on the slices. On a
+    GPU, and while launches are recorded, each kernel is launched once over all elements.
 
     Args:
-        steps: Kernel calls, in their order.
-        elements: Number of elements, or a range of them that begins with a whole block.
+        steps: Kernel calls in their order.
+        elements: Number of elements, or a range of them that starts at the beginning of a block.
         device: Warp device.
-        threads: Greatest number of threads on the CPU.
-        slice_size: Number of elements that go through the kernels together, rounded up to whole blocks.
-        progress: Function of the share that is done; None is none.
+        threads: Largest number of threads on the CPU.
+        slice_size: Number of elements per slice, rounded up to whole blocks.
+        progress: Function that is called with the finished share; None reports nothing.
     """
     indices = range(elements) if isinstance(elements, int) else elements
     if indices and device.is_cpu and not device.is_capturing:
         block = math.lcm(*(step.block for step in steps))
         size = -(-slice_size // block) * block
         slices = -(-len(indices) // size)
-        at_a_time = max(min(_MOST_AT_A_TIME // size, slices // (_TURNS_PER_THREAD * threads)), 1)
-        take = Pipeline(steps).slices(indices, size, at_a_time)
-        # Threads that have taken their slices take those of slower threads.
-        times = -(-slices // at_a_time) + (threads - 1 if at_a_time > 1 else 0)
+        at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
+        take = Pipeline(steps).slices(indices, size, at_once)
+        # The surplus calls let fast threads take slices that a slow thread has not started.
+        times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return
     for step in steps if indices else ():
         step.launch(indices, device)
     if progress is not None:
-        # Launches of a picture are queued; a read of their results waits for them.
+        # Without progress the launches stay queued, and a read of their results waits for them.
         wp.synchronize_device(device)
         progress(1.0)

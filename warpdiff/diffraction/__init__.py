@@ -1,5 +1,5 @@
-"""Series of exp(2πiκh) that separate κ from the heights, and their Fourier coefficients, in NumPy; no Warp.
+"""Series of exp(2πiκh) that separate κ from the heights, their Fourier coefficients, and the direct sum; no Warp.
 
 In: a height field, a number of terms.
-Out: Fourier coefficients as functions of κ, in a fitted basis; the direct sum, which is the float64 reference.
+Out: Fourier coefficients as functions of κ, in a fitted basis; float64 references by the direct sum.
 """

@@ -1,4 +1,4 @@
-"""Interpolation: polynomials through values at the roots of a Chebyshev polynomial, and cubics between equal steps."""
+"""Interpolation by polynomials through values at Chebyshev nodes, and by cubics between equally spaced values."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ if TYPE_CHECKING:
 
 
 def nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
-    """The roots, from the highest one down."""
+    """Chebyshev nodes in the range ``low`` to ``high``, in descending order."""
     return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * np.cos(_angles(count)))
 
 
 def terms(count: int) -> NDArray[np.float64]:
-    """T_n at the roots, shape (count of n, count of roots)."""
+    """Chebyshev polynomials T_n at the nodes, shape (count of n, count of nodes)."""
     return np.asarray(np.cos(np.outer(np.arange(count), _angles(count))))
 
 
 def to_series(count: int) -> NDArray[np.float64]:
-    """From values at the roots to the coefficients of T_n, shape (count of roots, count of n)."""
+    """Matrix from values at the nodes to the coefficients of T_n, shape (count of nodes, count of n)."""
     result = terms(count).T * (2.0 / count)
     result[:, 0] /= 2.0
     return result
 
 
 def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Polynomials that are 1 at one of the roots and 0 at the others, shape (len(at), count)."""
+    """Cardinal polynomials, which are 1 at one node and 0 at the others, at places ``at``; shape (len(at), count)."""
     position = np.clip((at - (low + high) / 2.0) / ((high - low) / 2.0 or 1.0), -1.0, 1.0)
     series = np.cos(np.arccos(position)[:, None] * np.arange(count))
     return np.asarray(series @ to_series(count).T)
 
 
 def cubic_weights(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Weights of the cubic through values at −1, 0, 1 and 2, at places t within 0 to 1."""
+    """Weights of the values at −1, 0, 1 and 2 in the cubic through them, at places t from 0 to 1."""
     before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
     return [
         -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0

@@ -1,13 +1,14 @@
-"""Bases of the Fourier coefficients as functions of κ: a row of numbers per coefficient times a shared basis.
+"""Expansion of the Fourier coefficients in functions of κ: a row of numbers per coefficient times a shared basis.
 
 ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
-are amplitudes. The other two are made from the last, for the range of κ that a scene reaches:
+are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the range of κ of a scene:
 
-- ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ of a bandwidth of twice the height range. Where
+- ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. If
   powers add, its rows are half as long and need not be squared.
-- ``"low-rank"``: the principal functions of κ of the height field's own coefficients, powers where powers add and
-  amplitudes elsewhere. On an interval an exponential of bandwidth B takes some B·length functions, of which polynomials
-  need π/2 as many and a series about κ = 0 several times; and real coefficients do not even span those.
+- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. They expand powers if powers add,
+  and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions. Polynomials
+  need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real surfaces span even
+  fewer dimensions.
 """
 
 from __future__ import annotations
@@ -32,40 +33,48 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Entries of a basis' table per radian of a power's fastest oscillation, e^{2πiκ(h − h')}: the cubic errs by 0.023/16⁴ =
-# 4e-7. Amplitudes of centred heights oscillate half as fast and err by 2e-8.
+# Entries of the table of a basis per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}. Cubic
+# interpolation has an error of 0.023/16⁴ = 4e-7. Amplitudes of centred heights oscillate half as fast; their error is
+# 2e-8.
 _STEPS_PER_RADIAN = 16
-# Of a shallow surface nothing oscillates, but what it scatters n times is in proportion to κ²ⁿ.
+# Fewest entries of the table, for shallow surfaces: their powers do not oscillate but grow as κ²ⁿ.
 _FEWEST_STEPS = 64
-# What is left out of the series that fitted bases are made from, and the least of what is kept of them: float32.
+# Error of the truncated series to which bases are fitted; it is that of float32.
 _SERIES_TOLERANCE = 1e-7
+# Truncation error at which a fitted basis has enough terms; it is that of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# The largest coefficients count as much as all others together: the mirror direction is one of a million.
+# Number of the largest coefficients, which have the same total weight in a fit as all others. The specular reflection
+# is one coefficient of a million.
 _STRONGEST_ROWS = 64
-# Residuals are measured on this many coefficients, and this share of them may exceed the figure.
+# Number of coefficients on which truncation errors are measured.
 _SAMPLED_ROWS = 20_000
+# Percentile of these errors that is reported; 0.1 % of the coefficients may have larger errors.
 _PERCENTILE = 99.9
-# Powers this far below the mirror's are the transforms' rounding and weigh no more than it.
+# Power relative to that of a mirror below which coefficients are rounding noise of the transforms. They get no more
+# weight in a fit than this noise.
 _NOISE_POWER = 1e-26
-# Below this share of the largest |κ| errors count as at it. The mirror's coefficient does not vanish, and float32 loses
-# the square of this factor of it.
+# Errors are relative to |κ|, but to at least this share of the largest |κ|. A smaller share loses digits of the
+# specular coefficient, which does not vanish at κ = 0.
 _SMALL_KAPPA = 0.1
+# Number of coefficients that are processed at once, which limits memory.
 _CHUNK = 65_536
-# A Taylor basis far beyond its range, which is computed on request only, stays within float32.
+# Limit on the values of a Taylor basis, within the range of float32; only series far beyond their range exceed it.
 _LARGEST = 1e30
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Rows and basis.
+    """Fourier coefficients as functions of |κ|: rows times a basis.
 
     Attributes:
-        rows: Shape (my, mx, parts, terms), float32: one part, powers, or two, real and imaginary parts.
-        basis: Shape (entries, terms), float32, at |κ| = kappa_low − step, kappa_low, …, two steps beyond the range.
+        rows: Weights of the basis functions, float32, shape (my, mx, parts, terms). Parts are one (powers) or two (real
+            and imaginary parts of amplitudes).
+        basis: Basis functions at |κ| = kappa_low − step, kappa_low, …, two steps beyond the range; float32, shape
+            (entries, terms).
         kappa_low: Lower end of the range of |κ| [1/µm].
         step: Distance of the entries [1/µm].
-        truncation_errors: Errors with the first n terms, n = 0 … terms, relative to a coefficient's largest value in
-            the range; for the fitted bases. Empty for a series, whose remainder is bounded.
+        truncation_errors: Errors of a fitted basis with the first n terms, n = 0 … terms, relative to the largest value
+            of a coefficient in the range. Empty for a series, whose remainder has a bound.
     """
 
     rows: NDArray[np.float32]
@@ -80,7 +89,7 @@ class Coefficients:
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The basis at |κ| [1/µm] within its range, shape (len(kappas), terms), by the cubics that the kernels take."""
+        """Basis functions at |κ| [1/µm], by the cubic interpolation of the kernels, shape (len(kappas), terms)."""
         steps = (np.asarray(kappas) - self.kappa_low) / self.step
         entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
         basis = self.basis.astype(np.float64)
@@ -89,7 +98,7 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The few dozen largest coefficients at a |κ| in the middle of the range: places, flattened, and powers."""
+        """Flat indices and powers of the largest coefficients at a |κ| in the middle of the range, descending."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
@@ -100,7 +109,7 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """The fewest terms of a fitted basis that leave out no more than a tolerance, or all of them."""
+        """Smallest number of terms of a fitted basis whose truncation error is within a tolerance, or all terms."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
@@ -111,7 +120,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Terms of the Jacobi-Anger series that fitted bases are made from, for |κ| in a range [1/µm]."""
+    """Number of terms of the Jacobi-Anger series to which bases are fitted, for a range of |κ| [1/µm]."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -122,9 +131,9 @@ def of_series(
     heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
 ) -> Coefficients:  # fmt: skip
-    """The coefficients of a block of frequencies by a series of ``EXPANSIONS``, for |κ| in a range [1/µm].
+    """Expand the coefficients of a block of frequencies in a series of ``EXPANSIONS``, for a range of |κ| [1/µm].
 
-    As many transforms run side by side as there are ``threads``.
+    ``threads`` is the number of transforms that run in parallel.
     """
     expansion = EXPANSIONS[method]
     series = series_coefficients(
@@ -132,7 +141,7 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # κ is negative: w is.
+    # κ = w/λ is negative.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -142,13 +151,13 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """The coefficients in a basis fitted to a range of |κ| [1/µm], with as many terms as float32 can tell apart.
+    """Expand the coefficients in a basis fitted to a range of |κ| [1/µm], up to the precision of float32.
 
-    ``method`` is ``"low-rank"`` or ``"power"``, ``series`` the Jacobi-Anger series of ``series_terms`` terms.
+    ``method`` is ``"low-rank"`` or ``"power"``; ``series`` is the Jacobi-Anger series of ``series_terms`` terms.
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # Chebyshev nodes over the table's whole range, so that nothing is extrapolated.
+    # The Chebyshev nodes cover the whole range of the table, which avoids extrapolation.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -158,7 +167,7 @@ def fitted(
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
-    # All but the mirror's coefficient vanish with κ, powers with its square: errors count relative to that.
+    # All coefficients but the specular one vanish in proportion to κ, and powers to κ². Errors are relative to that.
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -183,12 +192,12 @@ def fitted(
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
-    """Fastest oscillation of a power."""
+    """Fastest oscillation of a power [radians per unit of κ]."""
     return max(2.0 * math.pi * heightfield.height_range_um, 1e-3)
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """The step of |κ| in a basis' table, how many steps it has beyond the least, and the last |κ|."""
+    """Step of |κ| in the table of a basis, number of steps beyond the smallest |κ|, and last |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -196,7 +205,7 @@ def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[flo
 
 
 def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """The step and the |κ| of the entries of a basis' table."""
+    """Step and |κ| of the entries in the table of a basis."""
     step, count, _ = _entries(heightfield, kappas)
     return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 
@@ -213,7 +222,7 @@ def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[n
 def _principal_functions(
     values: NDArray[np.float32], weights: NDArray[np.float64], scales: NDArray[np.float32], strongest: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Orthonormal functions of κ at its nodes, shape (m, m): those that span weighted coefficients best come first."""
+    """Principal functions of κ at the nodes, orthonormal, in descending order of their eigenvalues, shape (m, m)."""
     count = values.shape[-1]
     gram = np.zeros((count, count))
     for first in range(0, len(values), _CHUNK):
@@ -228,7 +237,7 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Largest weighted error over κ with 0, 1, … terms, at a percentile of the sample."""
+    """Largest weighted error over κ with 0, 1, … terms, at the percentile ``_PERCENTILE`` of the sample."""
     rows = sample @ principal
     remaining = sample.copy()
     result = [1.0]

@@ -1,8 +1,8 @@
 """Direct sum of ⟨|P|²⟩ in float64 over the height samples: slow, without approximations.
 
-There is no expansion in κ, no FFT and no table: at every wavelength exp(2πiκh) is formed for all samples, and what is
-needed of its spectrum is an explicit sum over them: every coefficient within eight widths of the direction, or, for
-whole copies of the patch, the spectrum at the direction itself.
+The sum has no expansion in κ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all samples, and its
+spectrum is an explicit sum over them. The result includes every coefficient within eight standard deviations of the
+direction. For a number of periods it uses the spectrum at the direction itself.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
+# Distance of the farthest coefficient in the sum, in standard deviations of its Gaussian weight, which is e^−32 there.
 _WIDTHS = 8.0
-# While phases and coefficients are made, as counted.
+# Memory at the peak per number of the phases and coefficients [bytes], counted from the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -37,18 +38,18 @@ def window_power(
     """⟨|P|²⟩ of the height field under a window, a source or a number of periods.
 
     Args:
-        heightfield: The height field, taken as periodic.
-        coherence: The window, source or periods.
-        scattering_vectors: (u, v, w) = −ωi − ωr, shape (n, 3).
+        heightfield: Height field, one period of a periodic surface.
+        coherence: Window, source or periods.
+        scattering_vectors: Scattering vectors (u, v, w) = −ωi − ωr, shape (n, 3).
         wavelengths_um: Wavelengths [µm], shape (m,).
-        to_lights: Unit vectors ωi above the horizon, shape (n, 3); for a source, whose spread is foreshortened.
-        progress: Called with the share that is done.
+        to_lights: Unit vectors ωi above the horizon, shape (n, 3); required for a source, which is foreshortened.
+        progress: Function that is called with the finished share.
 
     Returns:
-        Shape (n, m), float64; 1 for a flat surface at u = v = 0.
+        ⟨|P|²⟩, float64, shape (n, m); 1 for a flat surface at u = v = 0.
     """
     if coherence.kind == "source" and to_lights is None:
-        raise ArgumentValueError(f"{ref('to_lights')} must be given for a source, whose spread depends on it")
+        raise ArgumentValueError(f"{ref('to_lights')} must be given for a source, whose foreshortening depends on it")
     if coherence.kind != "replicas":
         _check_orders(heightfield, max((_cutoff(coherence, float(length)) for length in wavelengths_um), default=0.0))
     result = np.zeros((len(scattering_vectors), len(wavelengths_um)))
@@ -71,26 +72,26 @@ def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
 ) -> float:  # fmt: skip
-    """The sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² at the centre of the window."""
-    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs. Windows are round; a source is a disc about the ray to
-    # the light, and from the surface it looks shorter along t, the tangential part of that ray.
+    """Sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² at the centre of the window."""
+    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs and t the tangential part of the direction to the light.
+    # Windows are round, and t = 0. A source is a disc around that direction; its projection is shorter along t.
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Along an axis the Gaussian's standard deviation is √(1 − t²) times as much.
+    # Along an axis with the component t, the standard deviation of the Gaussian is multiplied by √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
     qx, qy = q
     r = np.arange(math.ceil((qx - cutoff_x) * length_x), math.floor((qx + cutoff_x) * length_x) + 1)
     s = np.arange(math.ceil((qy - cutoff_y) * length_y), math.floor((qy + cutoff_y) * length_y) + 1)
-    # An axis of one sample is constant: it has no order but 0.
+    # An axis of one sample is constant, and its only order is 0.
     r = r if nx > 1 else r[r == 0]
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # Orders are reduced modulo the samples before they meet π, so that large ones lose no digits.
+    # The product is reduced modulo the number of samples before the multiplication by π, which preserves digits.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -108,20 +109,20 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """The a [µm²] of exp(−a d²)."""
+    """Factor a [µm²] in the weight exp(−a d²) of a coefficient at the distance d in frequency."""
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Distance in frequency [1/µm] of the coefficients that are summed."""
-    # exp(−a q²) has the standard deviation 1/√(2a).
+    """Largest distance in frequency [1/µm] of a coefficient in the sum."""
+    # The standard deviation of exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 
 def _check_orders(heightfield: HeightField, cutoff: float) -> None:
-    """Refuse coefficients that do not fit."""
+    """Raise ``MemoryError`` if the sum requires more memory than is free."""
     rows, columns = (
         2.0 * cutoff * length + 1.0 if n > 1 else 1.0
         for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
@@ -138,7 +139,7 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:
-    """|P|² of a number of copies: the patch's own sum at q, times how the copies along each axis add up."""
+    """|P|² of a number of periods: the power of one period at q, times the interference factors of both axes."""
     ny, nx = heightfield.shape
     pitch_y, pitch_x = heightfield.pitch_um
     along_x = np.exp(2j * math.pi * q[0] * pitch_x * np.arange(nx))
@@ -153,8 +154,8 @@ def _periods_power(
 
 
 def _interference(turns: float, periods: int) -> float:
-    """|(1/N) Σ e^(2πikt)|² = [sin(πNt)/(N sin(πt))]² of t turns from one copy to the next; 1 at whole turns."""
-    # Whole turns change nothing, but N times them would lose the digits of what remains.
+    """Interference factor |(1/N) Σ e^(2πikt)|² = [sin(πNt)/(N sin(πt))]² for a phase of t turns between periods."""
+    # The integer part of t has no effect; subtraction preserves the digits of the rest before multiplication by N.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

@@ -1,11 +1,11 @@
-"""Energy normalisation: reciprocal factors that make the sum of Stam's order efficiencies 1.
+"""Energy normalisation: reciprocal factors by which the order efficiencies of a perfect mirror sum to 1.
 
-With a perfect mirror, order m of light from ωi has the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr w²), which is
-symmetric in light and view, but whose sum over orders, the directional albedo, is not 1: it exceeds 1 at grazing angles
-and falls short where few orders propagate. Dividing by the albedo of the incidence alone conserves energy and loses
-reciprocity. Here K becomes a(ωi) K a(ωr), with the one function a of directions and wavelengths that makes the sums
-over orders 1 from everywhere (Sinkhorn 1967, Diagonal equivalence to matrices with prescribed row and column sums),
-which does both.
+For a perfect mirror, Stam's model gives order m of light from ωi the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr
+w²). K is symmetric in light and view, but its sum over orders, the directional albedo, is not 1. It exceeds 1 at
+grazing angles and is below 1 where few orders propagate. Division by the albedo of the incident direction conserves
+energy but violates reciprocity. Here K becomes a(ωi) K a(ωr). The function a of direction and wavelength makes the sums
+over orders 1 for every incident direction, which also preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to
+matrices with prescribed row and column sums).
 """
 
 from __future__ import annotations
@@ -29,41 +29,57 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Orders of a family whose sums are made 1 by themselves; the factors of more come from a grid of directions.
+# Largest number of orders whose factors are computed exactly; for more, factors come from a grid of directions. The
+# cost is proportional to the square of this number.
 MOST_EXACT = 600
-# That grid: from the normal and around it, and how wide orders that go together are, in parts of directions.
-_ELEVATIONS, _AZIMUTHS, _BIN = 16, 16, 0.08
-_SWEEPS, _CONVERGENCE = 200, 1e-10
-# Entries over |κ| for each half radian that a power turns by, between which it is a parabola.
+# Size of this grid: elevations and azimuths. A finer grid has smaller errors and costs more.
+_ELEVATIONS, _AZIMUTHS = 16, 16
+# Width of the bins in which neighbouring orders are summed [units of (u, v)], about that of a cell of the grid.
+_BIN = 0.08
+# Limits of Sinkhorn's iteration: number of sweeps, and relative change that ends it.
+_MOST_SWEEPS, _CONVERGED = 200, 1e-10
+# Table entries over |κ| per half radian of the oscillation of a power; between them the power is interpolated by a
+# parabola.
 _PER_RADIAN = 6.0
+# Number of height fields whose factors are cached.
 _CACHED = 8
-# Of colours: lights that factors are of, their shortest and longest wavelength [nm]; the ratio of Roberts' recurrence.
-_LIGHTS, _VISIBLE_RANGE_NM, _PLASTIC = 4096, (400.0, 700.0), 1.22074408460575947536
-# Up to which angle from the normal it is told what factors leave out.
+# Number of directions and wavelengths over which the factors of colours are averaged; the cost is proportional to it.
+_LIGHTS = 4096
+# Range of these wavelengths [nm]; it contains nearly all visible power.
+_VISIBLE_RANGE_NM = (400.0, 700.0)
+# Ratio of Roberts' recurrence in three dimensions, the real root of x⁴ = x + 1.
+_PLASTIC = 1.22074408460575947536
+# Largest angle from the normal for which `AchromaticFactors.spread` is measured [radians].
 _STEEPEST = math.radians(80.0)
-# Factors of single wavelengths are linear between so many nodes of a band [nm], or of another one in the same ratio
-# beside it: they do not depend on what else is asked for.
+# Number of wavelengths of a band at which factors of single wavelengths are computed, linear in between; and this band
+# [nm]. Other bands adjoin it with the same ratio, so that factors do not depend on the other wavelengths of a call.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-# Lights whose sums are made 1 exactly.
+# Largest number of incident directions whose sums over orders are made exactly 1.
 _MOST_LIGHTS = 64
-# A share of the light that no sum is divided by less than: no order propagates whose coefficient does not vanish.
+# Smallest sum over orders used as a divisor; sums are smaller only if all propagating orders vanish.
 _LEAST_SUM = 1e-12
 
 
 class Powers:
-    """|H_q(κ)|² of a height field, parabolas between equally spaced |κ|, those of neighbouring orders summed up.
+    """Powers |H_q(κ)|² of a height field, summed over bins of neighbouring orders, with fast interpolation over |κ|.
 
     Attributes:
-        frequencies: Middles of the bins of orders, (u, v) [1/µm], shape (p, 2).
+        frequencies: Centres of the bins of orders, (u, v)/λ [1/µm], shape (p, 2).
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Up to ``highest_kappa`` [1/µm], in bins of frequencies of at most ``bin_um`` [1/µm]; 0 leaves all apart."""
-        # As a function of κ a power is a polynomial of so many terms.
+        """Compute the powers.
+
+        Args:
+            heightfield: Height field, one period.
+            highest_kappa: Largest |κ| [1/µm].
+            bin_um: Largest width of a bin [1/µm]; 0 gives each order a bin of its own.
+        """
+        # Number of terms of a polynomial in κ that represents a power.
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-        # An even number of samples has an order as far out as any on one side, which is on the other as well.
+        # For an even number of samples the outermost order is the same on both sides, and both get it.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
             _block_starts(n, max(1, min(round(bin_um * length), n)))
@@ -71,7 +87,7 @@ class Powers:
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
-            # κ is negative.
+            # κ = w/λ is negative.
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
             power = np.pad(power, [(0, k - n) for k, n in zip(counts, heightfield.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
@@ -82,14 +98,14 @@ class Powers:
             for first, n, length in zip(starts, counts, heightfield.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
-        # As |(u, v)| and |w| are at most 2, no order beyond the largest |κ| is ever seen.
+        # |(u, v)| and |w| are both at most 2, so that orders beyond the largest |κ| never propagate.
         reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
         self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Powers of some bins, each at a |κ| of its own."""
+        """Powers of some bins, each at its own |κ| [1/µm]."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -98,7 +114,7 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """Where blocks of indices begin, one of which lies around the middle, n // 2: the mean plane's."""
+    """First indices of blocks of n indices; one block is centred at n // 2, the index of the zeroth order."""
     first = (n // 2 - block // 2) % block
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
 
@@ -106,25 +122,25 @@ def _block_starts(n: int, block: int) -> NDArray[np.int64]:
 def stam(
     cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²), ``tangential`` the part of ωi·ωr along the surface."""
+    """K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is the tangential part of ωi·ωr."""
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
 
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """The factor a of directions and wavelengths, on a grid.
+    """Factor a as a function of direction and wavelength, on a grid.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
-        values: On the grid of ``grid_weights``, shape (k, n, m).
+        values: Factors on the grid of ``grid_weights``, shape (k, n, m).
     """
 
     wavelengths_nm: NDArray[np.float64]
     values: NDArray[np.float64]
 
     def at(self, directions: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """The factors at unit vectors (n, 3) and a wavelength [nm], shape (n,); linear between what is there."""
+        """Factors at unit vectors (n, 3) and a wavelength [nm], by linear interpolation, shape (n,)."""
         nodes, weights = grid_weights(directions)
         place = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm))))
         before = min(int(place), len(self.wavelengths_nm) - 2)
@@ -134,19 +150,19 @@ class EnergyFactors:
 
 @dataclass(frozen=True)
 class AchromaticFactors:
-    """The factor a of directions alone, for colours: with it what is seen of all wavelengths together is sent back.
+    """Factor a as a function of direction only, for colours: it conserves the power of all wavelengths together.
 
     Attributes:
-        values: On the grid of ``grid_weights``, float32, shape (n, m).
-        spread: By how much what single wavelengths and directions send back differs from what comes in, relative to
-            it: a root mean square, weighed by the cosine, up to 80° from the normal.
+        values: Factors on the grid of ``grid_weights``, float32, shape (n, m).
+        spread: Relative deviation of the reflected power of single wavelengths and directions from the incident power:
+            root mean square, weighted by the cosine, up to 80° from the normal.
     """
 
     values: NDArray[np.float32]
     spread: float
 
     def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
-        """a(ωi) a(ωr) of pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
+        """a(ωi) a(ωr) of n pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
         factors = []
         for directions in (lights, views):
             nodes, weights = grid_weights(directions)
@@ -156,10 +172,11 @@ class AchromaticFactors:
 
 @single_threaded_blas()
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
-    """The factors of a height field for colours; kept for the next call.
+    """Return the factors of a height field for colours, from a cache.
 
-    Sums from single directions jump where orders pass the horizon, so that the grid's are means over lights from
-    everywhere, each of a wavelength and shared out to the nodes around it, as what leaves is.
+    The sum over orders of a single direction jumps when an order passes the horizon. The factors therefore balance
+    means over random lights of random wavelengths. Each light, like each order, is distributed to the nearest nodes of
+    the grid.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -169,12 +186,12 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # The normal is one direction, whatever the angle around it.
+        # All azimuths at the normal are one direction.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # dω cos θ of each light.
+        # Weight dω cos θ of each light; the lights are uniform in the polar angle.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -189,17 +206,17 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
 
 
 def _cache_key(heightfield: HeightField) -> tuple[object, ...]:
-    """What factors depend on; a hash of the heights, which may be large."""
+    """Cache key of the factors of a height field, with a hash of its heights."""
     digest = hashlib.sha256(np.ascontiguousarray(heightfield.heights_um).data).digest()
     return digest, heightfield.shape, heightfield.pitch_um
 
 
 def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions that fill the hemisphere evenly by both angles, (n, 3), and a wavelength of each [µm], (n,).
+    """Directions (n, 3), uniform in both angles of the hemisphere, and a wavelength [µm] for each, (n,).
 
-    By the additive recurrence of Roberts (2018) in three dimensions; wavelengths are as many as is seen of them. Each
-    light has a twin in its mirror direction: what one order sends back fixes but the product of both factors there, and
-    theirs are then alike.
+    They follow the additive recurrence of Roberts (2018) in three dimensions. Wavelengths are distributed as the colour
+    curves under D65. Each light has a twin in its mirror direction. If one order reflects nearly all light, sums
+    determine only the product of the factors of both directions; the twin makes the two factors similar.
     """
     places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
@@ -211,9 +228,10 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The grid's four nodes around unit vectors (n, 3), and their weights, both (n, 4).
+    """Return the four nodes of the grid around unit vectors (n, 3), and their bilinear weights, both (n, 4).
 
-    Rows are even in √(1 − cos θ), nearly so in θ, columns in the share that y has of |x| + |y|, quadrant by quadrant.
+    Rows are equally spaced in √(1 − cos θ), and so nearly in θ. Columns are equally spaced in y/(|x| + |y|), quadrant
+    by quadrant.
     """
     x, y, z = directions.T
     row = np.sqrt(np.clip((1.0 - z) / (1.0 - LOWEST), 0.0, 1.0)) * (_ELEVATIONS - 1)
@@ -228,10 +246,10 @@ def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
 
 
 def _grid() -> NDArray[np.float64]:
-    """The grid's directions, (n, 3), with each also its mirror direction."""
+    """Directions of the grid, (n, 3); it contains the mirror direction of each."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # The inverse of ``grid_weights``: y's share of |x| + |y|, and x's.
+    # This inverts ``grid_weights``: y/(|x| + |y|) and x/(|x| + |y|).
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -241,8 +259,8 @@ def _grid() -> NDArray[np.float64]:
 def _outgoing(
     powers: Powers, light: NDArray[np.float64], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where bins of orders leave from a light, unit vectors (n, 3), and their K, (n,)."""
-    # Coefficient q leaves where ωi + ωr = −λq along the surface.
+    """Return the directions into which a light is diffracted by bins of orders, (n, 3), and their K, (n,)."""
+    # Coefficient q diffracts into ωr with ωi + ωr = −λq, tangential parts.
     tangential = -powers.frequencies * wavelength_um - light[:2]
     upward2 = 1.0 - np.sum(tangential**2, axis=1)
     live = np.flatnonzero(upward2 > HORIZON**2)
@@ -254,7 +272,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """The factors of a height field on a grid of directions, in a wavelength's band; kept for the next call."""
+    """Return the factors of a height field on a grid, for the band of a wavelength [nm], from a cache."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band
@@ -276,7 +294,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """K from lights (n, 3), of a wavelength each, to the grid's directions, which orders are shared out to, (n, m)."""
+    """K from lights (n, 3), each with a wavelength, distributed to the m nodes of the grid, (n, m)."""
     result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, efficiencies = _outgoing(powers, light, wavelength_um)
@@ -286,23 +304,23 @@ def _distributed(
 
 
 def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Factors a of rows and b of columns with a (K b) = 1 and b (Kᵀ a) = 1, (n,) and (m,)."""
+    """Return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
     first, second = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
-    for _ in range(_SWEEPS):
+    for _ in range(_MOST_SWEEPS):
         before = first
         first = 1.0 / np.maximum(matrix @ second, _LEAST_SUM)
         second = 1.0 / np.maximum(matrix.T @ first, _LEAST_SUM)
-        if np.max(np.abs(first / before - 1.0)) < _CONVERGENCE:
+        if np.max(np.abs(first / before - 1.0)) < _CONVERGED:
             break
     return 1.0 / np.maximum(matrix @ second, _LEAST_SUM), second
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The factors a with a (K a) = 1 of a matrix that is symmetric but for what quadratures leave, (n,)."""
+    """Return factors a with a (K a) = 1 of a matrix that is symmetric up to quadrature errors, (n,)."""
     factors = np.ones(len(matrix))
-    for _ in range(_SWEEPS):
+    for _ in range(_MOST_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))
-        if np.max(np.abs(factors / before - 1.0)) < _CONVERGENCE:
+        if np.max(np.abs(factors / before - 1.0)) < _CONVERGED:
             break
     return factors
 
@@ -310,7 +328,7 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def sums_from(
     factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Σ K a(ωr) over all orders, which lie apart, of each light (n, 3), shape (n,)."""
+    """Sum K a(ωr) over all orders, in bins of one order each, for lights (n, 3), shape (n,)."""
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
         views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)
@@ -324,9 +342,9 @@ def between(
     views: NDArray[np.float64],
     wavelengths_nm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """a(ωi) a(ωr) of pairs of directions above the horizon, (n, 3) both, at wavelengths [nm] (m,), shape (n, m).
+    """a(ωi) a(ωr) of n pairs of directions above the horizon, (n, 3) both, at m wavelengths [nm], shape (n, m).
 
-    Of few lights a(ωi) is such that the sum over all orders is 1; of many it comes from the grid, too.
+    For few lights a(ωi) is computed so that the sum over all orders is exactly 1. For many it comes from the grid.
     """
     distinct, which = np.unique(lights, axis=0, return_inverse=True)
     powers = Powers(heightfield, 2e3 / float(wavelengths_nm.min()), 0.0) if len(distinct) <= _MOST_LIGHTS else None

@@ -1,7 +1,8 @@
 """Series of exp(2πiκh) that separate κ from the heights: Taylor, centred Taylor and Jacobi-Anger.
 
-With g = (h − c)/a and x = 2πκa each is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g): the polynomials p_n of the heights are
-transformed once, the basis b_n(x) is evaluated at each wavelength. What follows need not know which series it is.
+With g = (h − c)/a and x = 2πκa a series is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g). The polynomials p_n of the heights are
+transformed once. The basis b_n(x) is evaluated at each wavelength. Later stages do not depend on the choice of a
+series.
 """
 
 from __future__ import annotations
@@ -22,17 +23,19 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
+# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. It limits the memory of a
+# table, which is proportional to it.
 MAX_TERMS = 128
-# 128 terms serve some 30 cycles of phase.
+# Limit on the cycles of phase over the height range. More suggest a wrong unit of the heights.
 _MOST_CYCLES = 100.0
-# Where the bounds of a Taylor series would overflow.
+# Limit on exponents in the bounds of a Taylor series: e^710 overflows float64.
 _LARGEST_EXPONENT = 700.0
 
 
 def check_cycles(heightfield: HeightField, kappa: float) -> None:
-    """Refuse a height range that no series of ``MAX_TERMS`` comes near, for |κ| up to ``kappa`` [1/µm].
+    """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa`` [1/µm].
 
-    It is some other unit's, and would ask for tables and quadratures without end.
+    Heights in another unit have such ranges, and would require huge tables.
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
@@ -45,16 +48,16 @@ def check_cycles(heightfield: HeightField, kappa: float) -> None:
 
 @dataclass(frozen=True)
 class Expansion:
-    """A series of exp(2πiκh) in κ: its basis, its remainder, and how many terms keep an error.
+    """Series of exp(2πiκh) in κ, with bounds of its error.
 
     Attributes:
-        label: Its name in a sentence.
-        centred: Whether c is the middle of the height range and a half of it; otherwise c is the lowest height and a
-            the whole range. The phase e^{2πiκc} that this leaves out is common to all coefficients.
-        polynomials: p_0(g), p_1(g), … without end: takes an array g, in −1 … 1 or 0 … 1.
-        basis: b_n(x): takes an array x and the number of terms, returns shape (..., terms), float64.
-        remainder: Bound of the series' error for |x| up to the first argument with the second's number of terms.
-        growth: Bound of Σ |b_n(x)| for |x| up to the argument: what float32 rounding is multiplied with.
+        label: Name in messages.
+        centred: Whether c is the middle of the height range and a is half of the range. Otherwise c is the lowest
+            height and a is the whole range. The omitted phase e^{2πiκc} is common to all coefficients.
+        polynomials: Function of an array g, −1 to 1 or 0 to 1, that yields p_0(g), p_1(g), … without end.
+        basis: Function of an array x and a number of terms that returns b_n(x), float64, shape (..., terms).
+        remainder: Function (x, terms) that returns a bound of the truncation error for arguments up to |x|.
+        growth: Function of x that returns a bound of Σ |b_n| for arguments up to |x|, the factor of float32 rounding.
     """
 
     label: str
@@ -65,13 +68,13 @@ class Expansion:
     growth: Callable[[float], float]
 
     def offset_and_scale(self, heightfield: HeightField) -> tuple[float, float]:
-        """The c and a [µm] of a height field; a flat one has a = 0."""
+        """Return c and a [µm] of a height field; a = 0 for a flat one."""
         low, high = float(heightfield.heights_um.min()), float(heightfield.heights_um.max())
         return ((low + high) / 2.0, (high - low) / 2.0) if self.centred else (low, high - low)
 
-    @functools.lru_cache(maxsize=256)  # noqa: B019 (there are a few expansions, made once)
+    @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """The fewest terms whose remainder is within ``tolerance`` for |x| <= ``argument``, at most ``MAX_TERMS``."""
+        """Smallest number of terms, up to ``MAX_TERMS``, whose remainder up to ``argument`` is within a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1
@@ -79,14 +82,14 @@ class Expansion:
 
 
 def _taylor_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """xⁿ/n! (Single 2014, eq. 3.24)."""
+    """Basis xⁿ/n! (Single 2014, eq. 3.24)."""
     x = np.asarray(argument, dtype=np.float64)[..., None]
     steps = np.concatenate([np.ones_like(x), x / np.arange(1, terms)], axis=-1)
     return np.asarray(np.cumprod(steps, axis=-1))
 
 
 def _taylor_remainder(argument: float, terms: int) -> float:
-    """x^N/N!: Single 2014, eq. 3.28, with M = 1, for the derivatives of e^{ix} have modulus one."""
+    """Remainder x^N/N!, eq. 3.28 of Single 2014 with M = 1, because derivatives of e^{ix} have modulus 1."""
     if argument == 0.0:
         return 0.0
     return math.exp(min(terms * math.log(argument) - math.lgamma(terms + 1.0), argument, _LARGEST_EXPONENT))
@@ -97,10 +100,10 @@ def _taylor_growth(argument: float) -> float:
 
 
 def bessel_j(argument: ArrayLike, count: int) -> NDArray[np.float64]:
-    """J_0 … J_{count−1} of real arguments, shape (..., count), to some 1e-15 absolute.
+    """Bessel functions J_0 … J_{count−1} of real arguments, shape (..., count), with an absolute error of about 1e-15.
 
-    They are the Fourier coefficients of e^{ix sin θ}, an entire function: beyond |x| they fall faster than
-    exponentially, and a transform of a few more points than the sum of both is exact.
+    They are the Fourier coefficients of e^{ix sin θ}, which decrease faster than exponentially beyond |x|. A discrete
+    transform with slightly more than count + |x| points is therefore exact up to rounding.
     """
     x = np.asarray(argument, dtype=np.float64)
     largest = float(np.max(np.abs(x), initial=0.0))
@@ -111,14 +114,14 @@ def bessel_j(argument: ArrayLike, count: int) -> NDArray[np.float64]:
 
 
 def _jacobi_anger_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """J_0(x), 2 J_n(x): e^{ixg} = J_0(x) + 2 Σ iⁿ J_n(x) T_n(g) (Dhillon and Ghosh 2016 for this use)."""
+    """Basis J_0(x), 2 J_n(x), from e^{ixg} = J_0(x) + 2 Σ iⁿ J_n(x) T_n(g) (used by Dhillon and Ghosh 2016)."""
     values = 2.0 * bessel_j(argument, terms)
     values[..., 0] /= 2.0
     return values
 
 
 def _jacobi_anger_remainder(argument: float, terms: int) -> float:
-    """2 Σ_{n>=N} |J_n|, at the largest argument: |J_n(x)| grows with x as long as x <= n."""
+    """Remainder 2 Σ_{n>=N} |J_n| at the largest argument, because |J_n(x)| grows with x for x <= n."""
     if terms < argument:
         return 2.0
     beyond = math.ceil(12.0 * argument ** (1.0 / 3.0)) + 40
@@ -126,12 +129,12 @@ def _jacobi_anger_remainder(argument: float, terms: int) -> float:
 
 
 def _jacobi_anger_growth(argument: float) -> float:
-    """|J_0| + 2 Σ |J_n| <= √(1 + 2N) for N significant terms, by Cauchy-Schwarz from J_0² + 2 Σ J_n² = 1."""
+    """Bound |J_0| + 2 Σ |J_n| <= √(1 + 2N) for N significant terms, by Cauchy-Schwarz from J_0² + 2 Σ J_n² = 1."""
     return math.sqrt(1.0 + 2.0 * (argument + 4.0 * argument ** (1.0 / 3.0) + 4.0))
 
 
 def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """1, g, g², … without end."""
+    """Yield 1, g, g², … without end."""
     value = np.ones_like(g)
     while True:
         yield value
@@ -139,7 +142,7 @@ def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 
 
 def _chebyshev(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """T_0(g), T_1(g), … without end; within −1 … 1 the recurrence loses nothing."""
+    """Yield T_0(g), T_1(g), … without end; the recurrence is stable for −1 … 1."""
     now, after = np.ones_like(g), g
     while True:
         yield now

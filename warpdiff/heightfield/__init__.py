@@ -1,5 +1,5 @@
 """Measured and synthetic height fields: files, cleaning, periods, diagnostics; no Warp.
 
 In: files or arrays of heights in µm.
-Out: a ``HeightField``, with warnings about gaps, units, aliasing and the limits of scalar diffraction.
+Out: a ``HeightField``, with warnings about units, aliasing and the limits of scalar diffraction.
 """

@@ -1,4 +1,4 @@
-"""Cleaning of heights: levelling, removing dust, resampling, and the periodic part; functions of arrays (ny, nx)."""
+"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and the periodic part."""
 
 from __future__ import annotations
 
@@ -7,22 +7,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import memory, validation
 from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Memory at the peak of methods of `HeightField` [bytes per sample], as measured, without the field itself. Doubled
+# values refuse fields that fit.
+_BYTES_PER_SAMPLE = {"levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0}
+
+
+def require_memory(method: str, shape: tuple[int, int]) -> None:
+    """Raise ``MemoryError`` if a method of `HeightField` requires more memory than is free."""
+    ny, nx = shape
+    memory.require_memory(
+        _BYTES_PER_SAMPLE[method] * ny * nx, f"{ref(f'{method}()')} of a field of {ny} × {nx} samples",
+        f"take {{share}} of its area, by {ref('cropped()')}, or a coarser pitch",
+    )  # fmt: skip
+
 
 def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) -> NDArray[np.float64]:
     """Subtract the least-squares polynomial of total degree ``order``."""
-    # Tensor products of bases that are orthonormal on the samples are orthonormal: without gaps projections are the
-    # least-squares solution, with no system to solve and none to be ill-conditioned.
+    # Tensor products of orthonormal bases are orthonormal. Without gaps, projections are therefore the least-squares
+    # solution, and no system of equations is solved.
     along_y, along_x = (_polynomials(n, order) for n in heights.shape)
     with single_threaded_blas():
         coefficients = along_y.T @ np.where(missing, 0.0, heights) @ along_x
         fitted = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
         if missing.any():
-            # Gaps make them oblique; their scalar products over the known samples are a few numbers.
+            # With gaps the bases are not orthogonal, and a small system of their scalar products is solved.
             squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
             products = np.einsum("yab,yx,xcd->acbd", squares[0], ~missing, squares[1], optimize=True)
             coefficients[fitted] = np.linalg.lstsq(products[fitted][:, fitted], coefficients[fitted], rcond=None)[0]
@@ -32,7 +47,7 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
-    """Return polynomials of rising degree, orthonormal on equidistant samples, as columns of (samples, degrees)."""
+    """Return polynomials of increasing degree, orthonormal on equidistant samples, shape (samples, degrees)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
 
@@ -41,7 +56,7 @@ def despike(
     measured: NDArray[np.float64], missing: NDArray[np.bool_], pitch_um: tuple[float, float], threshold: float,
     size_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Replace elevations that stand out of the surface, see `HeightField.despiked`."""
+    """Replace elevations that stand out from the surface, see `HeightField.despiked`."""
     from scipy import ndimage
 
     heights = np.where(missing, 0.0, measured)
@@ -53,7 +68,7 @@ def despike(
         residual = heights - _blurred(heights * valid, pitch_um, size_um) / weight
         lower, median, upper = np.quantile(residual[known], (0.025, 0.5, 0.975))
         scale = max(upper - median, median - lower) / 1.96
-        # Rounding noise of the convolution must not become a scale: on a flat field nothing stands out.
+        # On a flat field the scale would be the rounding noise of the convolution; it has no spikes.
         if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
             break
         score = np.where(missing, 0.0, (residual - median) / scale)
@@ -69,7 +84,7 @@ def despike(
     valid = known.astype(np.float64)
     filled = np.full(heights.shape, np.mean(heights[known if known.any() else ~missing]))
     for spread in size_um * 2.0 ** np.arange(1, -4, -1):
-        # Where a fine scale has next to no weight, the coarser one's value stands.
+        # Where a fine scale has nearly no weight, the value of the coarser scale remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     return np.where(spikes, filled, measured)
@@ -77,10 +92,10 @@ def despike(
 
 @np.errstate(under="ignore")
 def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_um: float) -> NDArray[np.float64]:
-    """Convolve ``values`` (ny, nx) with a Gaussian, taking zero outside of the field."""
+    """Convolve ``values`` (ny, nx) with a Gaussian; values outside the field are zero."""
     from scipy import fft
 
-    # Padding by four spreads keeps the convolution from wrapping around.
+    # Padding by four standard deviations prevents circular wrap-around.
     padded = tuple(
         1 if n == 1 else fft.next_fast_len(n + math.ceil(min(4.0 * spread_um / pitch, n)), real=True)
         for n, pitch in zip(values.shape, pitch_um, strict=True)
@@ -96,7 +111,7 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
 
 
 def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what `HeightField.periodic` subtracts: a field that takes up half of the edges' jump at each edge."""
+    """Return the smooth part that `HeightField.periodic` subtracts, with half of the jump at each edge."""
     ny, nx = heights.shape
     jumps = np.zeros(heights.shape)
     across_y = heights[0] - heights[-1]
@@ -114,6 +129,63 @@ def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.fft.irfft2(spectrum, heights.shape)
 
 
+def crop(
+    heights: NDArray[np.float64], pitch_um: tuple[float, float], size_um: object, offset_um: object
+) -> NDArray[np.float64]:
+    """Return a view of a rectangle, see `HeightField.cropped`."""
+    size = validation.pair(size_um, "size_um")
+    if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
+        raise ArgumentValueError(f"{ref('offset_um')} must be a pair (y, x) or None, got {offset_um!r}")
+    slices: list[slice] = []
+    for axis, name in enumerate("yx"):
+        samples, pitch = heights.shape[axis], pitch_um[axis]
+        if samples == 1:
+            slices.append(slice(0, 1))
+            continue
+        count = round(size[axis] / pitch)
+        if count < 1 or count > samples:
+            raise ArgumentValueError(
+                f"{ref('size_um')} along {name} must be from {pitch:.4g} to {samples * pitch:.4g}, got {size[axis]:.6g}"
+            )
+        first = (samples - count) // 2
+        if validation.is_sequence(offset_um):
+            first = round(validation.number(offset_um[axis], f"offset_um[{axis}]") / pitch)
+        if first < 0 or first + count > samples:
+            raise ArgumentValueError(
+                f"{ref('offset_um')} along {name} must be from 0 to {(samples - count) * pitch:.4g} for this size, "
+                f"got {first * pitch:.6g}"
+            )
+        slices.append(slice(first, first + count))
+    return heights[slices[0], slices[1]]
+
+
+def resample(
+    heights: NDArray[np.float64], pitch_um: tuple[float, float], new_pitch_um: object
+) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Return heights at the pitch nearest to ``new_pitch_um``, and this pitch, see `HeightField.resampled`."""
+    requested = validation.pair(new_pitch_um, "pitch_um")
+    actual = list(pitch_um)
+    for axis, name in enumerate("yx"):
+        samples = heights.shape[axis]
+        size = samples * pitch_um[axis]
+        if samples == 1:
+            continue
+        count = round(size / requested[axis])
+        if count < 1:
+            raise ArgumentValueError(
+                f"{ref('pitch_um')} along {name} must be at most the size {size:.4g}, got {requested[axis]:.6g}"
+            )
+        if count != samples:
+            memory.require_samples(
+                heights.size // samples,
+                count,
+                f"take a {ref('pitch_um')} along {name} that is larger by 1/{{share}}",
+            )
+            heights = resample_axis(heights, count, axis)
+            actual[axis] = size / count
+    return heights, (actual[0], actual[1])
+
+
 def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArray[np.float64]:
     """Resample one axis of a periodic real array to ``count`` samples by its Fourier series."""
     old_count = heights.shape[axis]
@@ -122,7 +194,8 @@ def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArra
     result = np.zeros((*spectrum.shape[:-1], count // 2 + 1), dtype=np.complex128)
     result[..., : common // 2 + 1] = spectrum[..., : common // 2 + 1]
     if common % 2 == 0:
-        # The Nyquist term stands for ±common/2 in the coarser series, but for one of the two in the finer.
+        # The Nyquist term represents both frequencies ±common/2 in the coarser series, but only one in the finer
+        # series.
         result[..., common // 2] *= 0.5 if count > old_count else 2.0
     resampled = np.fft.irfft(result, count, axis=-1) * (count / old_count)
     return np.moveaxis(resampled, -1, axis)

@@ -14,41 +14,51 @@ from warpdiff.core.wording import ref
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period
 
-# Limits of a period that a summary lists: its standard error, relative to the period, and its share of the variance.
+# Limits on the periods of a summary: relative standard error, and share of the variance. Doubled values list periods
+# that are less certain, or fewer periods.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
 
-# Height range [µm] below that of an atom, and the rounding of a flat field's heights, which is no range.
+# Height range [µm] below which a field gets a warning: the size of an atom.
 LEAST_RANGE_UM = 1e-4
+# Height range, relative to the largest height, that counts as rounding of a flat field; it gets no warning.
 _ROUNDING = 1e-12
-# Mean absolute slope.
+# Mean absolute slope above which a field gets a warning; real surfaces are less steep.
 MOST_SLOPE = 5.0
-# In µm; and typical heights, nearest to which a unit is chosen.
+# Units in µm, and a typical height range, largest plausible height range, and typical pitch [µm]. The warning proposes
+# the unit that brings a length nearest to its typical value.
 _UNITS = {"metres": 1e6, "millimetres": 1e3, "nanometres": 1e-3, "ångströms": 1e-4}
 _TYPICAL_RANGE_UM, _MOST_RANGE_UM, _TYPICAL_PITCH_UM = 0.3, 20.0, 0.05
 
-# |κ| at which aliasing is estimated: normal incidence and view at 380 nm [1/µm].
+# Value of |κ| at which aliasing is estimated [1/µm]: normal incidence and view at 380 nm.
 _KAPPA = 2.0 / 0.38
-# A part of a large scan stands for it; its edges are faded out.
+# Largest number of samples along an axis of the part of a field whose spectrum is computed.
 _SAMPLES = 512
+# Half width of the rings of frequency over which powers are averaged, relative to the Nyquist limit.
 _RING = 0.1
+# Number of samples whose slopes are computed at once, which limits memory.
+_SAMPLES_AT_ONCE = 2**18
 _spectra: weakref.WeakKeyDictionary[HeightField, tuple[np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
 
-# Green light stands for the visible.
+# Wavelength of the reported error of scalar diffraction [nm]: green, the middle of the visible range.
 WAVELENGTH_NM = 550.0
-# Below it, 356 of 357 gratings were right within a tenth of the light.
+# Error bound below which scalar diffraction is graded reliable: 356 of 357 gratings had errors below 10 % of the
+# reflected power (bench/suite/validity). If doubled, more surfaces are graded reliable than are.
 SCALAR_RELIABLE = 0.1
-# Of 100 gratings of this bound or more, 97 had an order that was wrong by more than a tenth of the light.
+# Error bound from which it is graded invalid: 97 of 100 gratings had an order with an error above 10 % of the reflected
+# power.
 SCALAR_INVALID = 3.0
-# Error of normalised efficiencies, relative to that of Stam's.
+# Error of normalised efficiencies relative to that of Stam's model, fitted by bench/suite/validity.
 _NORMALISED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class HeightFieldSummary:
-    """Contents of a height field, and how far it can be trusted; `str` of it is a few lines to print.
+    """Summary of a height field and of its reliability; ``print`` shows it as a few lines.
 
     Attributes:
         shape: Number of samples (ny, nx).
@@ -57,11 +67,11 @@ class HeightFieldSummary:
         height_range_um: Highest minus lowest height [µm].
         rms_um: Standard deviation of the heights [µm].
         rms_slope: Root mean square of the slope (a ratio).
-        mean_slope: Mean absolute slope (a ratio). The sampling of a wall does not change it.
-        periods: Periods that repeat at least three times, have a standard error of at most 1 % and explain at least
-            1 % of the variance, see `HeightField.periods`. A field that is a single period has none.
+        mean_slope: Mean absolute slope (a ratio). It does not depend on the sampling of vertical walls.
+        periods: Periods that repeat at least three times, have a standard error of at most 1 %, and explain at least
+            1 % of the variance, see `HeightField.periods`. A field of a single period has none.
         max_uv: Largest component of the scattering vector (u, v) = −ωi − ωr that the pitch supports at 380 nm:
-            λ / (2 · pitch). From 2 on, no light and view on the hemisphere alias.
+            λ / (2 · pitch). From 2 on, no pair of light and view aliases.
         scalar_error: Bound of the error of scalar diffraction at 550 nm, relative to the reflected power, see
             `scalar_error_bound`.
         missing: Number of missing samples.
@@ -119,8 +129,33 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
     )  # fmt: skip
 
 
+def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
+    """Root mean square slope between neighbouring samples, without those across the edges."""
+    total = 0.0
+    for axis in (0, 1):
+        if heights_um.shape[axis] > 1:
+            squares = (np.diff(heights_um, axis=axis) / pitch_um[axis]) ** 2
+            known = squares[~np.isnan(squares)]
+            total += float(np.mean(known)) if known.size else 0.0
+    return math.sqrt(total)
+
+
+def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
+    """Mean absolute slope between neighbouring samples of a periodic field, also across the edges."""
+    ny, (dy, dx) = heights_um.shape[0], pitch_um
+    total, count = 0.0, 0
+    # The loop over blocks of rows limits memory. An axis of one sample is its own neighbour and has no slope.
+    for rows in np.array_split(np.arange(ny), -(-heights_um.size // _SAMPLES_AT_ONCE)):
+        block = heights_um[rows]
+        along_y, along_x = heights_um[(rows + 1) % ny] - block, np.roll(block, -1, axis=1) - block
+        slopes = np.sqrt((along_y / dy) ** 2 + (along_x / dx) ** 2)
+        known = slopes[~np.isnan(slopes)]
+        total, count = total + float(np.sum(known)), count + known.size
+    return total / count if count else 0.0
+
+
 def warn_of_scale(heightfield: HeightField) -> None:
-    """Warn of a scale that no diffracting surface has: a mirror, or all walls, by a wrong unit."""
+    """Warn about a scale that no diffracting surface has, probably because of a wrong unit."""
     height = heightfield.height_range_um
     extents = [size for size, n in zip(heightfield.size_um, heightfield.shape, strict=True) if n > 1]
     if height <= _ROUNDING * max(float(np.nanmax(np.abs(heightfield.heights_um))), 1.0) or not extents:
@@ -141,7 +176,7 @@ def warn_of_scale(heightfield: HeightField) -> None:
 
 
 def _likely_unit(heightfield: HeightField) -> str:
-    """The unit that a length is likely to be in."""
+    """Question and remedy for the unit in which heights or pitch probably are."""
     pitch = max(heightfield.pitch_um)
     heights = heightfield.height_range_um
     if LEAST_RANGE_UM <= heights <= _MOST_RANGE_UM and pitch < LEAST_RANGE_UM:
@@ -152,20 +187,20 @@ def _likely_unit(heightfield: HeightField) -> str:
 
 
 def _nearest_unit(value: float, typical: float) -> str:
-    """The unit in which a value comes nearest to a typical one [µm]."""
+    """Unit in which a value is nearest to a typical one [µm]."""
     return min(_UNITS, key=lambda name: abs(math.log(value * _UNITS[name] / typical)))
 
 
 def coarsest_pitch_um(heightfield: HeightField) -> float:
-    """The larger pitch of the axes that vary [µm]; an axis of one sample is constant, and 0 if both are."""
+    """Larger pitch of the axes with more than one sample [µm]; 0 if there is none."""
     return max((pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True) if n > 1), default=0.0)
 
 
 def folded_power(heightfield: HeightField, frequency: float) -> float:
-    """Power that aliases onto coefficients at a frequency [1/µm], relative to theirs, at most 1.
+    """Power that aliases onto coefficients at a frequency [1/µm], relative to their own power, at most 1.
 
-    Power of exp(2πiκh) beyond half a cycle per sample folds back. It cannot be measured; it is taken to be as strong
-    as the power just within the limit, which holds for spectra that fall.
+    Power of exp(2πiκh) beyond the Nyquist limit aliases. It cannot be measured from the samples. The estimate is the
+    power just below the limit, an upper bound if the spectrum decreases.
     """
     pitch = coarsest_pitch_um(heightfield)
     if pitch == 0.0 or heightfield.height_range_um == 0.0:
@@ -183,7 +218,7 @@ def folded_power(heightfield: HeightField, frequency: float) -> float:
 
 @np.errstate(under="ignore")
 def _spectrum(heightfield: HeightField) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [1/µm] and powers of the coefficients of a part of the height field, flat arrays."""
+    """Frequencies [1/µm] and powers of the coefficients of a part of the height field, as flat arrays."""
     if heightfield not in _spectra:
         part = heightfield.heights_um[:_SAMPLES, :_SAMPLES]
         field = np.exp(2j * math.pi * _KAPPA * part)
@@ -202,17 +237,17 @@ def scalar_error_bound(
 ) -> float:
     """Bound of the error of an order's efficiency by scalar diffraction, relative to a flat surface's reflected power.
 
-    (4πs/λ)² · min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope the period of the sine that
-    shares it and the mean slope. The first factor is the power that scalar theory removes from the zeroth order of a
-    slightly rough surface; where the period is too short for other orders, all of it is wrong. The mean slope does not
-    depend on how finely a wall is sampled, as its mean square does, nor on the waviness that makes a scan's strongest
-    period.
+    The bound is (4πs/λ)² · min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/slope is the
+    period of a sine with the same s and the same mean slope. The first factor is the power that scalar theory removes
+    from the zeroth order of a slightly rough surface. If the period is too short for other orders, all of this power is
+    wrong. The mean slope has two advantages: unlike the mean square slope it does not depend on the sampling of walls,
+    and unlike the strongest period of a scan it does not depend on waviness.
 
-    The rule was found against rigorous solutions (bench/suite/validity) and is no theorem. Of 748 gratings 357 were
-    within 0.1 by it, of which one was wrong by more, by 0.12; up to 0.5 no error exceeded it by more than a factor of
-    1.8. Sines of long periods are right far beyond it. Normalised efficiencies of mirrors have half the error: of 561
-    gratings 313 were within 0.1 by that half, of which three were wrong by more, by up to 0.22, and 95 of 100 errors
-    were no more than 1.1 times it.
+    The rule was fitted to rigorous solutions (bench/suite/validity) and is not a theorem. It gave at most 0.1 for 357
+    of 748 gratings; one of these had a larger error, 0.12. Up to 0.5, no error exceeded the bound by more than a factor
+    of 1.8. For sines of long periods the errors are much smaller than the bound. Normalised efficiencies of mirrors
+    have half the bound. It was at most 0.1 for 313 of 561 gratings; three of these had larger errors, up to 0.22. 95 %
+    of the errors were at most 1.1 times this half.
 
     Args:
         rms_um: Standard deviation of the heights [µm].
@@ -221,7 +256,7 @@ def scalar_error_bound(
         normalised: Whether efficiencies are normalised, as with ``order_efficiencies(..., energy="normalised")``.
 
     Returns:
-        The bound; 0 for a flat surface. From 1 on, no efficiency can be trusted.
+        The bound; 0 for a flat surface. From 1 on, no efficiency is reliable.
     """
     rms = rms_um / (wavelength_nm * 1e-3)
     if rms == 0.0:
@@ -231,7 +266,7 @@ def scalar_error_bound(
 
 
 def scalar_error_text(bound: float) -> str:
-    """Return a `scalar_error_bound` as a risk, graded as reliable, qualitative or invalid."""
+    """Return a `scalar_error_bound` in words, graded as reliable, qualitative or invalid."""
     grade = "invalid" if bound >= SCALAR_INVALID else "reliable" if bound < SCALAR_RELIABLE else "qualitative"
     text = f"{grade} at {WAVELENGTH_NM:g} nm:"
     if grade == "invalid":

@@ -1,19 +1,18 @@
-"""The height field: heights on a regular grid, with methods that load, save, clean, cut and describe them.
+"""``HeightField``: heights on a regular grid, with methods that load, save, clean, crop and describe them.
 
-A sample ``heights_um[j, i]`` lies at x = i·dx, y = j·dy: rows along y, columns along x. Pairs are in the order (y, x),
-lengths in µm. Every transform returns a new `HeightField`.
+The sample ``heights_um[j, i]`` is at x = i·dx, y = j·dy: rows run along y, columns along x. Pairs are in the order (y,
+x), lengths in µm. Every transform returns a new `HeightField`.
 """
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, readers
 
 if TYPE_CHECKING:
@@ -24,21 +23,20 @@ if TYPE_CHECKING:
 
 Axis = Literal["y", "x"]
 
-# Memory per sample, as measured: of methods besides the field itself, and of making a field from an array.
-_BYTES_PER_SAMPLE = {"levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0}
+# Memory at the peak, as measured: while a field is made from an array [bytes per sample], and while gaps are filled
+# [bytes per missing sample]. Doubled values refuse fields that fit.
 _BYTES_MADE, _BYTES_PER_GAP = 13.0, 700.0
-_SAMPLES_AT_ONCE = 2**18
-# Change by periodic(), root mean square, relative to the heights' standard deviation, from which it warns.
+# Root mean square change of the heights by periodic(), relative to their standard deviation, above which it warns.
 _MOST_CHANGE = 0.4
 
 
 class HeightField:
-    """One period (or one patch) of a surface, as heights on a regular grid; immutable.
+    """One period, or one patch, of a surface, as heights on a regular grid; immutable.
 
-    Two height fields are equal only if they are the same object, so that one can be a key of a dictionary.
+    Two height fields are equal only if they are the same object, so that a field can be the key of a dictionary.
 
-    Samples may be missing, where a profilometer had no signal. Methods that measure and describe the surface exclude
-    them; rendering and evaluation require all samples, see `filled`.
+    Samples may be missing, for example where an instrument had no signal. Methods that measure and describe the surface
+    exclude them. Rendering and evaluation require all samples, see `filled`.
 
     Args:
         heights_um: Surface heights [µm], shape (ny, nx), rows along y. The array is copied. One row is a
@@ -47,13 +45,20 @@ class HeightField:
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
     Warns:
-        WarpdiffWarning: The scale is that of no diffracting surface, which suggests a wrong unit: a height range below
-            0.1 nm (but not 0) or above the size, or a mean slope above 5.
+        WarpdiffWarning: No diffracting surface has this scale, which suggests a wrong unit: a height range below 0.1 nm
+            (but not 0) or above the size, or a mean slope above 5.
 
     Raises:
         TypeError: An argument is not numeric.
-        ValueError: The heights are not a non-empty 2-D array, contain infinities or nothing but missing samples, or the
-            pitch is not positive.
+        ValueError: The heights are not a non-empty 2-D array, contain infinities or only missing samples, or the pitch
+            is not positive.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> x = np.arange(100) * 0.02
+        >>> wd.HeightField(0.1 * np.cos(np.pi * x)[None, :], pitch_um=0.02)
+        HeightField(1 × 100 samples (y × x), pitch 0.02 × 0.02 µm, size 0.02 × 2 µm, height range 0.2 µm)
     """
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
@@ -67,6 +72,10 @@ class HeightField:
         Args:
             heights_um: Surface heights [µm], shape (ny, nx), as for the class itself.
             pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
+
+        Examples:
+            >>> wd.HeightField.of_known_scale([[0.0, 0.0, 9.0, 9.0]], pitch_um=0.1).height_range_um
+            9.0
         """
         field = cls.__new__(cls)
         field._set(heights_um, pitch_um)
@@ -92,7 +101,7 @@ class HeightField:
         for array in (heights, missing):
             array.setflags(write=False)
         self._heights_um, self._missing = heights, missing
-        # Every call of a picture asks for them.
+        # Every picture reads these two numbers.
         self._missing_count = int(np.count_nonzero(missing))
         self._height_range_um = float(np.nanmax(heights) - np.nanmin(heights))
         self._pitch_um = validation.pair(pitch_um, "pitch_um")
@@ -104,15 +113,15 @@ class HeightField:
     ) -> HeightField:  # fmt: skip
         """Read a height field from a file.
 
-        The suffix selects the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, and a grey image (any format that
-        OpenImageIO reads) for every other suffix. :func:`warpdiff.heightfield.readers.register_reader` adds readers.
+        The suffix selects the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, and a grey image in any format of
+        OpenImageIO for every other suffix. :func:`warpdiff.heightfield.readers.register_reader` adds readers.
 
-        Rows keep the order of the file and are not flipped. Integer samples have no unit: the full scale of their type
-        (255 or 65535) stands for ``height_range_um``, even if the file does not use all of it. Floating-point samples
-        are heights in µm; NaN is a missing sample.
+        Rows keep the order of the file. Integer samples have no unit: the largest value of their type (255 or 65535) is
+        the height ``height_range_um``, even if the file does not use it. Floating-point samples are heights in µm; NaN
+        is a missing sample.
 
         Args:
-            path: Grey image, ``.npy`` or ``.npz`` file of heights.
+            path: Path of a grey image, or of a ``.npy`` or ``.npz`` file of heights.
             extent_um: Size of the field [µm]: one number, its width along x, for square samples, or a pair (Ly, Lx).
             pitch_um: Distance of the samples [µm], one number or a pair (dy, dx). Give exactly one of ``extent_um``
                 and ``pitch_um``, and neither for a ``.npz`` file, which states its pitch.
@@ -125,15 +134,15 @@ class HeightField:
             FileNotFoundError: The file does not exist.
             ValueError: The file cannot be read, is a colour image, is not two-dimensional or contains infinities, or
                 its scale is not given exactly once.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "scan.npy"
+            >>> np.save(file, 0.05 * np.random.default_rng(0).standard_normal((64, 64)))
+            >>> wd.HeightField.load(file, extent_um=10.0).size_um
+            (10.0, 10.0)
         """
-        file = validation.path(path, "path")
-        if not file.exists():
-            raise marked(
-                FileNotFoundError,
-                f"{ref('path')}: there is no file {str(file)!r}; check the name and the working directory",
-            )
-        if not file.is_file():
-            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is not a file; give a grey image, .npy or .npz")
+        file = readers.existing(path)
         heights, own_pitch = readers.read(file, height_range_um)
         pitch = readers.pitch_of(file, own_pitch, heights.shape, extent_um, pitch_um)
         try:
@@ -156,6 +165,12 @@ class HeightField:
         Raises:
             ValueError: The name does not end in ``.npz``.
             OSError: The folder does not exist, or the file cannot be written.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> path = wd.gratings.bumps().save(pathlib.Path(tempfile.mkdtemp()) / "bumps.npz")
+            >>> wd.HeightField.load(path).shape
+            (50, 25)
         """
         return files.save_arrays(path, {"heights_um": self._heights_um, "pitch_um": self._pitch_um}, compressed=False)
 
@@ -199,29 +214,14 @@ class HeightField:
     @property
     @np.errstate(under="ignore")
     def rms_slope(self) -> float:
-        """Root mean square of the slope between neighbouring samples, without those across the edges."""
-        total = 0.0
-        for axis in (0, 1):
-            if self.shape[axis] > 1:
-                squares = (np.diff(self._heights_um, axis=axis) / self.pitch_um[axis]) ** 2
-                known = squares[~np.isnan(squares)]
-                total += float(np.mean(known)) if known.size else 0.0
-        return math.sqrt(total)
+        """Root mean square slope between neighbouring samples, without those across the edges."""
+        return diagnostics.rms_slope(self._heights_um, self.pitch_um)
 
     @forks.cached_property
     @np.errstate(under="ignore")
     def mean_slope(self) -> float:
-        """Mean absolute slope between neighbouring samples of the periodic field, across the edges as well."""
-        heights, (dy, dx), ny = self._heights_um, self.pitch_um, self.shape[0]
-        total, count = 0.0, 0
-        # A large field's slopes do not fit beside it. An axis of one sample has no neighbour but itself.
-        for rows in np.array_split(np.arange(ny), -(-heights.size // _SAMPLES_AT_ONCE)):
-            block = heights[rows]
-            along_y, along_x = heights[(rows + 1) % ny] - block, np.roll(block, -1, axis=1) - block
-            slopes = np.sqrt((along_y / dy) ** 2 + (along_x / dx) ** 2)
-            known = slopes[~np.isnan(slopes)]
-            total, count = total + float(np.sum(known)), count + known.size
-        return total / count if count else 0.0
+        """Mean absolute slope between neighbouring samples of the periodic field, also across the edges."""
+        return diagnostics.mean_slope(self._heights_um, self.pitch_um)
 
     def __repr__(self) -> str:
         (ny, nx), (dy, dx), (ly, lx) = self.shape, self.pitch_um, self.size_um
@@ -232,16 +232,20 @@ class HeightField:
         )
 
     def filled(self) -> HeightField:
-        """Fill missing samples with the harmonic surface through the samples around them, like a soap film on a frame.
+        """Fill missing samples with the harmonic surface through the samples around them (membrane inpainting).
 
-        The five-point Laplacian vanishes there, and no slope crosses the field's edges (Laplace's equation; membrane
-        inpainting). Filled heights lie between the lowest and the highest ones around a gap, and a plane is met exactly
-        in a gap that does not touch the edges. In a gap that fits between two lines w apart, no sample has an error of
-        more than w²/8 of the largest Laplacian of the true heights. Level and despike first: a bump beside a gap
-        reaches into it.
+        The five-point Laplacian vanishes in the gaps, and the slope across the edges of the field is zero. Filled
+        heights are between the lowest and the highest one around a gap. A plane is restored exactly in a gap that does
+        not touch the edges. In a gap between two parallel lines at the distance w, the error is at most w²/8 times the
+        largest Laplacian of the true heights. Level and despike first: a dust grain at the rim of a gap raises its
+        filling.
 
         Returns:
             The field without gaps, of the same shape. Samples that are not missing keep their values exactly.
+
+        Examples:
+            >>> wd.HeightField([[0.0, 0.1, np.nan, 0.3]], pitch_um=1.0).filled().heights_um.round(3)
+            array([[0. , 0.1, 0.2, 0.3]])
         """
         memory.require_memory(
             _BYTES_PER_GAP * self._missing_count,
@@ -261,41 +265,51 @@ class HeightField:
 
         Raises:
             ValueError: ``order`` is negative.
+
+        Examples:
+            >>> print(wd.HeightField([[0.0, 0.1, 0.2, 0.3]], pitch_um=1.0).levelled().height_range_um < 1e-9)
+            True
         """
         order = validation.count(order, "order", least=0)
-        self._require_memory("levelled")
+        cleaning.require_memory("levelled", self.shape)
         return self._with_heights(cleaning.level(self._heights_um, self._missing, order))
 
     def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
-        """Remove dust grains and bright scratches: elevations that stand out are replaced from their surroundings.
+        """Remove dust grains and bright scratches: replace elevations that stand out from their surroundings.
 
-        The score of a sample is its height above a smooth background (a normalised Gaussian convolution of spread
-        ``size_um`` that excludes the spikes found so far; three rounds), in units of a robust scale: the distance
-        from the median of those heights to their 2.5 % or 97.5 % quantile, whichever is larger, over 1.96. That is
-        the standard deviation for Gaussian roughness; the usual median absolute deviation is zero for a rectangular
-        grating, and would flag all its ridges. Samples above ``threshold`` and their connected surroundings above 0.8
-        of it, slightly dilated, are filled by normalised convolutions from coarse to fine (Knutsson and Westin 1993).
-        Only elevations are removed: pits and cracks belong to the surface, and the deepest points of a relief often
-        look like them.
+        The score of a sample is its height above a smooth background in units of a robust scale. The background is a
+        Gaussian convolution of standard deviation ``size_um`` that excludes detected spikes; it is computed three
+        times. The scale is the distance from the median of the heights above it to their 2.5 % or 97.5 % quantile,
+        whichever is larger, divided by 1.96. For Gaussian roughness it equals the standard deviation. (The median
+        absolute deviation is zero for a rectangular grating and would flag all its ridges.) Samples above ``threshold``
+        and connected samples above 0.8 ``threshold``, slightly dilated, are filled by normalised convolutions from
+        coarse to fine (Knutsson and Westin 1993). Pits and cracks are not removed, because the deepest points of a
+        relief often look like them.
 
-        Level the field first, as tilt counts as height. Samples that are not replaced keep their values exactly, so
-        ``np.mean(after.heights_um != before.heights_um)`` is the share replaced where none are missing. Elevations that
-        belong to the surface and cover less than about 3 % of it are mistaken for dust.
+        Level the field first, because tilt counts as height. Samples that are not replaced keep their values exactly,
+        so that ``np.mean(after.heights_um != before.heights_um)`` is the replaced share of a field without gaps.
+        Elevations that belong to the surface and cover less than about 3 % of it are mistaken for dust.
 
         Args:
-            threshold: Score from which a sample is a spike, more than 0, default 3.
-            size_um: Spread of the background [µm], more than 0, default 1; about the distance of the surface's own
-                features.
+            threshold: Score above which a sample is a spike, more than 0, default 3.
+            size_um: Standard deviation of the background [µm], more than 0, default 1; about the distance of the
+                features of the surface.
 
         Returns:
-            The cleaned field, of the same shape; unchanged where nothing stands out.
+            The cleaned field, of the same shape; unchanged if nothing stands out.
 
         Raises:
             ValueError: An argument is not positive.
+
+        Examples:
+            >>> heights = wd.gratings.fingers(size_um=6.4).heights_um.copy()
+            >>> heights[40:44, 60:64] += 1.0
+            >>> round(wd.HeightField(heights, pitch_um=0.05).despiked().height_range_um, 2)
+            0.3
         """
         threshold = validation.positive(threshold, "threshold")
         size = validation.positive(size_um, "size_um")
-        self._require_memory("despiked")
+        cleaning.require_memory("despiked", self.shape)
         return self._with_heights(
             cleaning.despike(self._heights_um, self._missing, self.pitch_um, threshold=threshold, size_um=size)
         )
@@ -313,33 +327,13 @@ class HeightField:
             The rectangle, at the same pitch.
 
         Raises:
-            ValueError: The rectangle is smaller than a sample, extends beyond the field, or has no height.
+            ValueError: The rectangle is smaller than a sample, extends beyond the field, or has only missing samples.
+
+        Examples:
+            >>> wd.gratings.fingers(size_um=12.8).cropped(6.4, offset_um=(0.0, 0.0)).shape
+            (128, 128)
         """
-        size = validation.pair(size_um, "size_um")
-        if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
-            raise ArgumentValueError(f"{ref('offset_um')} must be a pair (y, x) or None, got {offset_um!r}")
-        slices: list[slice] = []
-        for axis, name in enumerate("yx"):
-            samples, pitch = self.shape[axis], self.pitch_um[axis]
-            if samples == 1:
-                slices.append(slice(0, 1))
-                continue
-            count = round(size[axis] / pitch)
-            if count < 1 or count > samples:
-                raise ArgumentValueError(
-                    f"{ref('size_um')} along {name} must be from {pitch:.4g} to {samples * pitch:.4g}, "
-                    f"got {size[axis]:.6g}"
-                )
-            first = (samples - count) // 2
-            if offset_um is not None:
-                first = round(validation.number(offset_um[axis], f"offset_um[{axis}]") / pitch)
-            if first < 0 or first + count > samples:
-                raise ArgumentValueError(
-                    f"{ref('offset_um')} along {name} must be from 0 to {(samples - count) * pitch:.4g} for this size, "
-                    f"got {first * pitch:.6g}"
-                )
-            slices.append(slice(first, first + count))
-        return self._with_heights(self._heights_um[slices[0], slices[1]])
+        return self._with_heights(cleaning.crop(self._heights_um, self.pitch_um, size_um, offset_um))
 
     def flipped(self, axis: Axis) -> HeightField:
         """Mirror the field by reversing the order of its samples along one axis.
@@ -349,81 +343,79 @@ class HeightField:
 
         Returns:
             The mirrored field, of the same shape and pitch.
+
+        Examples:
+            >>> wd.HeightField([[0.0, 0.1, 0.2]], pitch_um=1.0).flipped("x").heights_um
+            array([[0.2, 0.1, 0. ]])
         """
         return self._with_heights(
             np.flip(self._heights_um, "yx".index(validation.choice(axis, "axis", get_args(Axis))))
         )
 
     def rotated(self, quarter_turns: int = 1) -> HeightField:
-        """Rotate the field counter-clockwise, seen from +z with x to the right and y up.
+        """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
 
-        Heights that vary along x vary along y after one quarter turn; the direction of a wave vector grows by 90°.
+        A grating along x becomes a grating along y after one quarter turn.
 
         Args:
             quarter_turns: Number of quarter turns, default 1; negative numbers turn clockwise.
 
         Returns:
-            The rotated field. An odd number of quarter turns swaps the pair of pitches and the pair of sizes.
+            The rotated field. An odd number of quarter turns swaps both pitches and both sizes.
+
+        Examples:
+            >>> wd.gratings.blazed(2.0, 0.1).rotated().shape
+            (64, 1)
         """
         turns = validation.count(quarter_turns, "quarter_turns", least=-validation.MOST_COUNT) % 4
         pitch = self.pitch_um[::-1] if turns % 2 else self.pitch_um
-        # Rows go up with y, and down for NumPy.
+        # The row index increases with y, but NumPy rotates as if it increased downwards.
         return HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
 
     def resampled(self, pitch_um: float | tuple[float, float]) -> HeightField:
-        """Interpolate, or band-limit, to another pitch by Fourier series, as one period of a periodic surface.
+        """Resample to another pitch by a Fourier series, as one period of a periodic surface.
 
         Args:
             pitch_um: Requested pitch [µm], one number or a pair (dy, dx). The actual pitch is the nearest one that
                 divides the size, which does not change; an axis of one sample stays unchanged.
 
         Returns:
-            The field with round(L / pitch) samples along each axis.
+            The field with round(L / pitch) samples along each axis; frequencies beyond the new pitch are removed.
 
         Raises:
             ValueError: The pitch is not positive, or larger than the field, or samples are missing.
+
+        Examples:
+            >>> wd.gratings.sinusoidal(2.0, 0.1).resampled(0.1).shape
+            (1, 20)
         """
         pitch = validation.pair(pitch_um, "pitch_um")
         check_whole(self)
-        heights = self._heights_um
-        actual = list(self.pitch_um)
-        for axis, name in enumerate("yx"):
-            samples, size = self.shape[axis], self.size_um[axis]
-            if samples == 1:
-                continue
-            count = round(size / pitch[axis])
-            if count < 1:
-                raise ArgumentValueError(
-                    f"{ref('pitch_um')} along {name} must be at most the size {size:.4g}, got {pitch[axis]:.6g}"
-                )
-            if count != samples:
-                memory.require_samples(
-                    heights.size // samples,
-                    count,
-                    f"take a {ref('pitch_um')} along {name} that is larger by 1/{{share}}",
-                )
-                heights = cleaning.resample_axis(heights, count, axis)
-                actual[axis] = size / count
-        return HeightField.of_known_scale(heights, (actual[0], actual[1]))
+        return HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
 
     def periodic(self) -> HeightField:
-        """Make opposite edges match, so that the spectrum has no bright cross along its axes.
+        """Make opposite edges match, which removes the bright cross along the axes of the spectrum.
 
         The result is the periodic part of Moisan's periodic-plus-smooth decomposition (2011, J. Math. Imaging Vis. 39,
-        161–179): a smooth field is subtracted, harmonic except at the edges, where it takes up half of the jump at each
-        edge. Size and mean do not change. Level and despike first, because the change grows with the jump. A field that
-        is periodic already does not need it and would change slightly; a grating of few periods is bent: cut it with
-        `whole_periods` instead.
+        161–179). The subtracted smooth part is harmonic except at the edges, where it has half of the jump at each
+        edge. Size and mean do not change. Level and despike first, because the change increases with the jump. Do not
+        use it for a field that is periodic already, which would change slightly. Cut a grating of few periods with
+        `whole_periods` instead, because this method would bend it.
 
-        Missing samples stay missing; at the edges they count as `filled` ones.
+        Missing samples stay missing; at the edges their `filled` values count.
 
         Returns:
             The periodic part, of the same shape.
 
         Warns:
-            WarpdiffWarning: Heights change by more than 0.4 of their standard deviation, root mean square.
+            WarpdiffWarning: The root mean square change exceeds 0.4 of the standard deviation of the heights.
+
+        Examples:
+            >>> patch = wd.gratings.fingers(size_um=12.8).cropped(6.0).levelled()
+            >>> patch.periodic().shape == patch.shape
+            True
         """
-        self._require_memory("periodic")
+        cleaning.require_memory("periodic", self.shape)
         smooth = cleaning.smooth_part(self.filled().heights_um)
         result = self._with_heights(self._heights_um - smooth)
         change = float(np.sqrt(np.mean(smooth[~self.missing] ** 2)))
@@ -437,27 +429,32 @@ class HeightField:
         return result
 
     def whole_periods(self) -> HeightField:
-        """Cut the field to whole periods of its strongest wave, so that opposite edges match except for rounding.
+        """Crop the field to whole periods of its strongest wave, so that opposite edges match.
 
-        The wave is the strongest of `periods` that is no waviness. The result has as many periods as fit along each
-        axis, to the nearest sample; an axis along which the wave drifts by less than a period stays unchanged. Cut
-        before levelling: a plane that is fitted to parts of periods is tilted.
+        The wave is the strongest of `periods` that repeats at least three times. The result has as many periods as fit
+        along each axis, to the nearest sample. An axis along which the wave shifts by less than a period stays
+        unchanged. Crop before levelling: a plane fitted to a part of a period is tilted.
 
         Returns:
             The part that begins at the first sample, at the same pitch.
 
         Raises:
             ValueError: There is no such wave.
+
+        Examples:
+            >>> heights = 0.1 * np.cos(np.pi * 0.02 * np.arange(730))
+            >>> wd.HeightField(heights[None, :], pitch_um=0.02).whole_periods().size_um[1]
+            14.0
         """
-        self._require_memory("whole_periods")
+        cleaning.require_memory("whole_periods", self.shape)
         return periods.cut_whole(self)
 
     def periods(self, count: int = 3) -> tuple[periods.Period, ...]:
         """Fit the strongest periods: waves of any length and direction with their harmonics, by least squares.
 
-        Waves are fitted one after the other, each with a tilt to the residual of those before. Missing samples have no
-        weight. The precision of a length is a small part of what a Fourier coefficient resolves, and it has a standard
-        error. In a field that is a single period, as `gratings` make it, nothing repeats: it counts as waviness.
+        Waves are fitted one after the other; each is fitted with a tilt to the residual of the previous ones. Missing
+        samples have no weight. A length is much more precise than the resolution of the Fourier transform, and has a
+        standard error. A field of a single period, as `gratings` make it, repeats nothing: its wave is waviness.
 
         Args:
             count: Largest number of periods, at least 1, default 3. Waves that explain less than 0.1 % of the variance
@@ -468,30 +465,32 @@ class HeightField:
 
         Raises:
             ValueError: ``count`` is less than 1.
+
+        Examples:
+            >>> heights = 0.1 * np.cos(np.pi * 0.02 * np.arange(730))
+            >>> print(wd.HeightField(heights[None, :], pitch_um=0.02).periods(1)[0])
+            2.00000... ± 0.00000... µm at 0°
         """
         count = validation.count(count, "count")
-        self._require_memory("periods")
+        cleaning.require_memory("periods", self.shape)
         return periods.fit(self, count)
 
     def summary(self) -> diagnostics.HeightFieldSummary:
-        """Describe the field: size, pitch, range, roughness, slope, periods, and validity of scalar diffraction."""
+        """Describe the field: size, pitch, range, roughness, slope, periods, and validity of scalar diffraction.
+
+        Examples:
+            >>> print(wd.gratings.sinusoidal(2.0, 0.1).summary())
+            size              2 × ...
+        """
         return diagnostics.summarise(self)
 
     def _with_heights(self, heights: NDArray[np.float64]) -> HeightField:
-        """Make a field of other heights at the same pitch."""
+        """Return a field of other heights at the same pitch."""
         return HeightField.of_known_scale(heights, self.pitch_um)
 
-    def _require_memory(self, method: str) -> None:
-        """Refuse a method that needs more memory than there is."""
-        ny, nx = self.shape
-        memory.require_memory(
-            _BYTES_PER_SAMPLE[method] * ny * nx, f"{ref(f'{method}()')} of a field of {ny} × {nx} samples",
-            f"take {{share}} of its area, by {ref('cropped()')}, or a coarser pitch",
-        )  # fmt: skip
 
-
-def check_whole(heightfield: Any) -> None:
-    """Refuse what is no height field, or lacks samples."""
+def check_whole(heightfield: HeightField) -> None:
+    """Raise an error if an argument is not a height field, or has missing samples."""
     validation.instance(heightfield, HeightField, "heightfield")
     if count := heightfield._missing_count:
         raise ArgumentValueError(

@@ -1,9 +1,9 @@
-"""Gaps of a grid filled by the harmonic function that meets the samples around them."""
+"""Gap filling: the harmonic function through the samples around the gaps of a grid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,29 +13,33 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+    from scipy.sparse import csr_array
 
-# Residual of the solution, relative to the first.
+# Residual of the equations, relative to the first one, that ends the iteration.
 _CONVERGED = 1e-10
-# Steps of conjugate gradients, of which some twenty suffice.
+# Limit on the steps of conjugate gradients; about twenty suffice.
 _MOST_STEPS = 200
-# A neighbour's weight by the square of its distance, relative to the nearer ones': what is less is lost in rounding.
+# Limit on the weight of the farther neighbours relative to that of the nearer ones; smaller weights are lost in
+# rounding.
 _LEAST_WEIGHT = 1e-10
-# Of Jacobi's method, also where it smooths what coarser grids correct.
+# Damping factor of the Jacobi smoother, the usual value for five-point stencils.
 _DAMPING = 2.0 / 3.0
+# Number of sweeps of the smoother before and after each coarse-grid correction.
 _SWEEPS = 2
-# Unknowns that are eliminated.
+# Largest number of unknowns of the coarsest grid, whose matrix is inverted.
 _FEW = 400
-# Samples of a coarser grid's, along an axis unless these lie further apart than along the other by more than a factor.
-_COARSER, _MOST_ASLANT = 3, 1.8
+# Samples of a grid per sample of the next coarser one, along an axis; and the largest ratio of the sample distances of
+# both axes at which both are coarsened.
+_COARSER, _MOST_ANISOTROPY = 3, 1.8
 
 
 @np.errstate(under="ignore")
 def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDArray[np.float64]:
     """Return ``heights`` (ny, nx) with each NaN replaced so that the five-point Laplacian vanishes there.
 
-    No slope crosses the edges of the grid. The equations are solved by conjugate gradients, preconditioned by multigrid
-    (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing 56, 179–196), in as many steps for large gaps as
-    for small ones; at least one sample must be known.
+    The slope across the edges of the grid is zero. At least one sample must be known. The equations are solved by
+    conjugate gradients with a multigrid preconditioner (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing
+    56, 179–196). The number of steps does not depend on the size of the gaps.
     """
     from scipy.sparse import linalg
 
@@ -44,7 +48,7 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     if not gaps.any():
         return result
     known = heights[~gaps]
-    # About the mean, so that an offset costs no digits, and of a size whose squares neither overflow nor vanish.
+    # Heights are centred and scaled, so that an offset loses no digits and squares neither overflow nor vanish.
     mean = float(np.mean(known))
     scale = float(np.max(np.abs(known - mean))) or 1.0
     matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
@@ -52,15 +56,15 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
         cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
         solution, _ = linalg.cg(matrix, target, rtol=_CONVERGED, maxiter=_MOST_STEPS, M=cycle)
         filled = mean + scale * solution
-    # As harmonic functions do, but for rounding.
+    # A harmonic function stays between its boundary values; rounding may exceed them.
     result[gaps] = np.clip(filled, known.min(), known.max())
     return result
 
 
 def _equations(
     gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
-) -> tuple[Any, NDArray[np.float64]]:
-    """Minus the Laplacian of the gaps' samples, sparse, and what the known ones beside them add."""
+) -> tuple[csr_array, NDArray[np.float64]]:
+    """Return the equations of the missing samples: minus the Laplacian, and the right side from known neighbours."""
     from scipy import sparse
 
     count = int(np.count_nonzero(gaps))
@@ -75,7 +79,7 @@ def _equations(
         for one, other, height in ((before, after, height_after), (after, before, height_before)):
             unknown = one >= 0
             row, column = one[unknown], other[unknown]
-            # Each sample has one neighbour on a side.
+            # Each sample has at most one neighbour on a side, so that indices are unique.
             diagonal[row] += weight
             target[row] += weight * height[unknown]
             both = column >= 0
@@ -86,23 +90,23 @@ def _equations(
 
 @dataclass(frozen=True)
 class _Level:
-    """A grid of multigrid.
+    """Level of the multigrid.
 
     Attributes:
-        matrix: Its equations.
-        jacobi: The damped inverse of their diagonal.
-        to_finer: What it adds to the unknowns from those of the next coarser grid.
+        matrix: Equations of this level.
+        jacobi: Damped inverse of their diagonal.
+        to_finer: Prolongation from the next coarser level to this one.
     """
 
-    matrix: Any
+    matrix: csr_array
     jacobi: NDArray[np.float64]
-    to_finer: Any
+    to_finer: csr_array
 
 
 def _multigrid(
-    matrix: Any, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
+    matrix: csr_array, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """An approximate inverse of equations between neighbours on a grid, symmetric: a cycle of multigrid."""
+    """Return a multigrid V-cycle, a symmetric approximate inverse of equations between neighbours on a grid."""
     from scipy import sparse
 
     levels: list[_Level] = []
@@ -110,7 +114,9 @@ def _multigrid(
     while matrix.shape[0] > _FEW:
         extended = [axis for axis in (0, 1) if places[axis].max() > 0]
         nearest = min(distances[axis] for axis in extended)
-        blocks = [_COARSER if axis in extended and distances[axis] <= _MOST_ASLANT * nearest else 1 for axis in (0, 1)]
+        blocks = [
+            _COARSER if axis in extended and distances[axis] <= _MOST_ANISOTROPY * nearest else 1 for axis in (0, 1)
+        ]
         blocked = [place // block for place, block in zip(places, blocks, strict=True)]
         width = int(blocked[1].max()) + 1
         cells, cell = np.unique(blocked[0] * width + blocked[1], return_inverse=True)
@@ -121,7 +127,7 @@ def _multigrid(
         matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
         places = cells // width, cells % width
         distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
-    # SciPy's factorization of a sparse matrix leaves a forked child with an error that nobody raised.
+    # A dense inverse: SciPy's sparse factorisation leaves a pending error in forked child processes.
     inverse = np.linalg.inv(matrix.toarray())
 
     def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:

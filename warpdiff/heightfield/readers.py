@@ -15,28 +15,28 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core import memory, openimageio, validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, marked, ref
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from numpy.typing import NDArray
 
-# Memory that a file's sample requires in all, as measured.
+# Memory at the peak while a file is read [bytes per sample], as measured. A doubled value refuses files that fit.
 _BYTES_PER_SAMPLE = 28.0
 
 
 @dataclass(frozen=True, eq=False)
 class FileContent:
-    """Samples that a reader found in a file.
+    """Contents of a file of heights.
 
     Attributes:
-        samples: Array of shape (ny, nx), rows along y. ``uint8`` and ``uint16`` state no unit; their full scale is
-            given by the caller. Floating-point numbers are heights [µm], NaN where one is missing.
+        samples: Array of shape (ny, nx), rows along y. ``uint8`` and ``uint16`` samples have no unit; the caller states
+            their full scale. Floating-point numbers are heights [µm], NaN for a missing sample.
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx); None if the file does not state it.
     """
 
-    samples: NDArray[Any]
+    samples: np.ndarray
     pitch_um: float | tuple[float, float] | None = None
 
 
@@ -48,8 +48,8 @@ def register_reader(*suffixes: str) -> Callable[[Reader], Reader]:
     """Register the decorated function as the reader of files with these suffixes, for `HeightField.load`.
 
     Args:
-        suffixes: Suffixes with their dot, such as ``".spm"``; case does not matter. The last reader of a
-            suffix counts.
+        suffixes: Suffixes with their dot, such as ``".spm"``, in upper or lower case. A reader replaces an earlier one
+            of the same suffix.
     """
 
     def register(reader: Reader) -> Reader:
@@ -59,8 +59,21 @@ def register_reader(*suffixes: str) -> Callable[[Reader], Reader]:
     return register
 
 
+def existing(path: str | os.PathLike[str]) -> Path:
+    """Return the argument ``path`` as the path of a file; raise an error if it is none."""
+    file = validation.path(path, "path")
+    if not file.exists():
+        raise marked(
+            FileNotFoundError,
+            f"{ref('path')}: there is no file {str(file)!r}; check the name and the working directory",
+        )
+    if not file.is_file():
+        raise _refusal(file, "is not a file; give a grey image, .npy or .npz")
+    return file
+
+
 def read(file: Path, height_range_um: float | None) -> tuple[NDArray[np.float64], float | tuple[float, float] | None]:
-    """Return the heights [µm] of a file, and its pitch if it states one; unregistered suffixes are read as images."""
+    """Return the heights [µm] of a file, and its pitch or None; files of unregistered suffixes are read as images."""
     content = _readers.get(file.suffix.lower(), read_image)(file)
     shape = content.samples.shape
     if len(shape) != 2 or 0 in shape:
@@ -68,8 +81,8 @@ def read(file: Path, height_range_um: float | None) -> tuple[NDArray[np.float64]
     return _in_micrometres(content.samples, file, height_range_um), content.pitch_um
 
 
-def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | None) -> NDArray[np.float64]:
-    """Return samples as heights [µm]: integers by their full scale, floating-point numbers unchanged."""
+def _in_micrometres(samples: np.ndarray, file: Path, height_range_um: float | None) -> NDArray[np.float64]:
+    """Return samples as heights [µm]: scale integers by their full scale, leave floating-point numbers unchanged."""
     if samples.dtype in (np.uint8, np.uint16):
         full = int(np.iinfo(samples.dtype).max)
         if height_range_um is None:
@@ -94,7 +107,7 @@ def _in_micrometres(samples: NDArray[Any], file: Path, height_range_um: float | 
 
 
 def _require_memory(file: Path, shape: tuple[int, ...]) -> None:
-    """Refuse a file of more samples than there is memory for."""
+    """Raise ``MemoryError`` if a file has more samples than fit into memory."""
     if len(shape) == 2:
         memory.require_memory(
             _BYTES_PER_SAMPLE * math.prod(shape),
@@ -126,8 +139,8 @@ def _member(file: Path, name: str) -> Iterator[IO[bytes]]:
         yield stream
 
 
-def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> NDArray[Any]:
-    """Read the array of a stream, which is opened once for its shape and once for its numbers."""
+def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
+    """Read an array from a stream, which is opened once for the shape and once for the numbers."""
     try:
         with opened() as stream:
             shape = _shape_of_array(stream)
@@ -142,17 +155,17 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
 
 
 def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
-    """Headers are Python's text, and archives are parsed by zipfile and zlib, which raise errors of many types."""
+    """Return the error for a file that NumPy cannot read; parsers of damaged files raise errors of many types."""
     return _refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
 
 
 def _refusal(file: Path, reason: str) -> ArgumentValueError:
-    """Return the error of a file that is refused."""
+    """Return an error that names a file and the reason why it is refused."""
     return ArgumentValueError(f"{ref('path')}: {str(file)!r} {reason}")
 
 
 def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
-    """Return the shape in the header of a ``.npy`` stream; () if fewer bytes follow, or its version is not known."""
+    """Return the shape from the header of a ``.npy`` stream; () if it is truncated or of an unknown version."""
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     version = np.lib.format.read_magic(stream)
     if version not in headers:
@@ -163,7 +176,7 @@ def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
 
 
 def read_image(file: Path) -> FileContent:
-    """Read a grey image, in the file's own type of samples."""
+    """Read a grey image without a conversion of its samples."""
     with openimageio.in_use() as oiio:
         image = oiio.ImageInput.open(str(file))
         if image is None:
@@ -174,15 +187,16 @@ def read_image(file: Path) -> FileContent:
             image.close()
 
 
-def _samples_of(image: Any, file: Path) -> NDArray[Any]:
-    """Return the samples of an open image, which must be one grey image."""
+def _samples_of(image: Any, file: Path) -> np.ndarray:
+    """Return the samples of an open file, which must contain one grey image."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
         raise _refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
     _require_memory(file, (spec.height, spec.width))
-    samples = image.read_image("unknown")  # the file's own type: nothing is converted
+    # "unknown" selects the type of the file, which avoids a conversion.
+    samples = image.read_image("unknown")
     if samples is None or image.has_error:
         raise _refusal(file, f"is damaged ({_reason(image)}); export the image again")
     if image.seek_subimage(1, 0):
@@ -191,7 +205,7 @@ def _samples_of(image: Any, file: Path) -> NDArray[Any]:
 
 
 def _reason(source: Any) -> str:
-    """Return the message of OpenImageIO as one line; it may cite the file's own bytes."""
+    """Return the last message of OpenImageIO as one line; it may contain bytes of the file that are not text."""
     try:
         return " ".join(source.geterror().split())
     except UnicodeDecodeError:
@@ -202,7 +216,7 @@ def pitch_of(
     file: Path, own_pitch: float | tuple[float, float] | None, shape: tuple[int, ...],
     extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None,
 ) -> float | tuple[float, float]:  # fmt: skip
-    """Return the pitch of a file's samples: its own, or that by exactly one of the arguments of `HeightField.load`."""
+    """Return the pitch of a file [µm]: its own, or from exactly one of the arguments of `HeightField.load`."""
     names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
     if own_pitch is not None:
         if names:

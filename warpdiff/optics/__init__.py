@@ -1,4 +1,4 @@
-"""Optics apart from the surface: coherence, materials, spectra, reflectance factors, colorimetry; no Warp.
+"""Optics that do not depend on the height field: coherence, materials, spectra, colorimetry; no Warp.
 
 In: directions, wavelengths, names of illuminants, indices of refraction.
 Out: geometry factors, wavelength quadratures, XYZ and sRGB.

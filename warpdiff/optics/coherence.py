@@ -1,10 +1,10 @@
-"""Coherence of the light: the window, the size of the source or the number of periods that interfere."""
+"""Coherence: the part of the surface that interferes, as a window, a source size or a number of periods."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from annotated_types import Ge, Interval, Unit
 
@@ -14,20 +14,22 @@ from warpdiff.core.wording import ArgumentValueError, ref
 
 Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
 KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
-# A coherence length of 65 µm, taken as 4σ [µm].
+# Default standard deviation of the window [µm], a convention: a coherence length of 65 µm, taken as 4σ. If doubled,
+# orders become half as wide in angle.
 DEFAULT_SIGMA_UM = 16.25
-# Angular diameter of the sun [degrees].
+# Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Limit: the sky is projected on the tangent plane at a light, which is no approximation for a wider one [degrees].
+# Limit on the diameter of a source [degrees]: the model projects the sky to the tangent plane at the source, which is
+# not accurate for wider sources.
 _MAX_DIAMETER_DEG = 30.0
-# Limit: periods (y, x) for each axis.
+# Limit on the number of periods along an axis; 100,000 periods of 1 µm are ten centimetres.
 _MAX_PERIODS = 100_000
 
 
 @dataclass(frozen=True)
 class Coherence(Checked):
-    """Window, source or number of periods that limits the part of the surface that interferes.
+    """Part of the surface that interferes: a window, a source size or a number of periods.
 
     Attributes:
         kind: Kind of coherence. ``"averaged"`` is the expectation over all positions of a Gaussian window exp(−r²/2σ²):
@@ -42,6 +44,15 @@ class Coherence(Checked):
         angular_diameter_deg: Angular diameter of the light source for ``"source"``, by default the sun's, 0.53. None
             for the other kinds.
         periods: Number of periods (y, x) of the patch for ``"replicas"``, each 1 to 100,000. None for the other kinds.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> print(wd.Coherence())
+        averaged window with σ = 16.25 µm
+        >>> print(wd.Coherence("source", angular_diameter_deg=0.53))
+        source of 0.53° in diameter
+        >>> print(wd.Coherence("replicas", periods=(1, 100)))
+        1 × 100 periods
     """
 
     kind: Kind = "averaged"
@@ -79,10 +90,10 @@ class Coherence(Checked):
 
     @property
     def spread(self) -> float:
-        """Standard deviation s = α/√2 [radians] of the Gaussian that stands for a source of angular radius α."""
+        """Standard deviation s = α/√2 [radians] of the Gaussian that replaces a source of angular radius α."""
         return math.radians((self.angular_diameter_deg or 0.0) / 2.0) / math.sqrt(2.0)
 
-    def _set(self, name: str, value: Any) -> None:
+    def _set(self, name: str, value: float) -> None:
         object.__setattr__(self, name, value)
 
     def _only_for(self, name: str, *kinds: str) -> None:

@@ -1,8 +1,9 @@
 """Colorimetry: CIE 1931 2° observer, illuminants, quadrature weights, XYZ to linear sRGB, sRGB encoding.
 
-The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ are taken at
-1 nm from colour-science and interpolated linearly in between; the two end points count with full weight, so that
-ρ = 1 gives exactly the 1 nm sum. Those of D65 are precomputed in a file, as colour-science takes 0.7 s to import.
+The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ come from
+colour-science at steps of 1 nm and are interpolated linearly. The two end points have full weight, so that ρ = 1 gives
+exactly the sum over the 1 nm steps. The products of D65 are stored in a file, because the import of colour-science
+takes 0.7 s.
 """
 
 from __future__ import annotations
@@ -22,23 +23,25 @@ if TYPE_CHECKING:
 
 Illuminant = str | Spectrum
 
+# Nanometres per micrometre.
 NM_PER_UM = 1e3
-# The visible range, over which colours are integrated [nm].
+# Limits of the visible range [nm], over which colours are integrated (a convention). The file of D65 depends on them.
 LAMBDA_MIN_NM = 380
+# See `LAMBDA_MIN_NM`.
 LAMBDA_MAX_NM = 780
 VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
 VISIBLE_NM.setflags(write=False)
-# Limits of the wavelengths that a caller may pass.
+# Limits on wavelengths of callers [nm]: they admit ultraviolet and infrared, and refuse values in µm.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 
-# Samples that an interpolant goes through.
+# Number of samples of the interpolating polynomial, a quintic. A higher degree oscillates between samples.
 _STENCIL = 6
-# Negative weights are shared out so often at most, and down to this share of all.
-_SHARED_OUT, _NOTHING = 64, 1e-12
+# Limits of the loop that removes negative weights: number of rounds, and share of all weights that ends it (rounding).
+_MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# IEC 61966-2-1.
+# Matrix from XYZ to linear sRGB (IEC 61966-2-1).
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 XYZ_TO_RGB.setflags(write=False)
 RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
@@ -46,7 +49,7 @@ RGB_TO_XYZ.setflags(write=False)
 
 
 def check_illuminant_type(illuminant: object, name: str = "illuminant") -> Illuminant:
-    """Return a spectrum or a name, which may be of no illuminant, or raise ``TypeError``."""
+    """Return ``illuminant`` if it is a spectrum or a string; raise ``TypeError`` otherwise. The name is not checked."""
     if not isinstance(illuminant, (str, Spectrum)):
         raise ArgumentTypeError(
             f"{ref(name)} must be the name of a CIE illuminant, such as 'D65', or a warpdiff.Spectrum, got "
@@ -55,8 +58,8 @@ def check_illuminant_type(illuminant: object, name: str = "illuminant") -> Illum
     return illuminant
 
 
-def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
-    """Return an illuminant, a spectrum or a name of one that covers 380 to 780 nm, or raise ``ValueError``."""
+def check_illuminant(illuminant: object, name: str = "illuminant") -> Illuminant:
+    """Return a spectrum, or the name of an illuminant that covers 380 to 780 nm; raise ``ValueError`` otherwise."""
     checked = check_illuminant_type(illuminant, name)
     if isinstance(checked, Spectrum) or checked in PRECOMPUTED:
         return checked
@@ -77,7 +80,7 @@ def check_illuminant(illuminant: Any, name: str = "illuminant") -> Illuminant:
 
 
 def _distribution(illuminant: str) -> Any:
-    """The spectrum of colour-science of a name, of an illuminant or a light source; None if there is none."""
+    """Spectrum of an illuminant or a light source of colour-science by its name, or None."""
     for distributions in (colour_science().SDS_ILLUMINANTS, colour_science().SDS_LIGHT_SOURCES):
         if illuminant in distributions:
             return distributions[illuminant]
@@ -86,20 +89,20 @@ def _distribution(illuminant: str) -> Any:
 
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
-    """The first and the last wavelength of an illuminant of this name; to look one up takes half a millisecond."""
+    """First and last wavelength of an illuminant [nm], or None; cached, as the look-up takes half a millisecond."""
     distribution = _distribution(illuminant)
     return None if distribution is None else (float(distribution.shape.start), float(distribution.shape.end))
 
 
 @functools.lru_cache(maxsize=256)
 def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
-    """S·(x̄, ȳ, z̄) at 380, 381, … 780 nm over the 1 nm sum of S·ȳ, shape (401, 3).
+    """S·(x̄, ȳ, z̄) at 380, 381, … 780 nm, divided by the sum of S·ȳ over them, shape (401, 3).
 
     Args:
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a spectrum.
+        illuminant: Name in ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES`` of colour-science, or a spectrum.
 
     Returns:
-        The products; their column sums are the XYZ of a perfect mirror, (0.950423, 1, 1.088610) for D65.
+        The products. Their column sums are the XYZ of a perfect mirror, (0.950423, 1, 1.088610) for D65.
     """
     name = check_illuminant(illuminant)
     if isinstance(name, Spectrum):
@@ -111,7 +114,7 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
 
 
 def products_by_colour_science(name: str) -> NDArray[np.float64]:
-    """``colour_products`` of an illuminant, without the precomputed ones."""
+    """`colour_products` of an illuminant, computed by colour-science."""
     return _products(_distribution(name).copy().align(_shape()).values)
 
 
@@ -120,9 +123,9 @@ def _shape() -> Any:
 
 
 def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
-    """S·(x̄, ȳ, z̄) over the sum of S·ȳ, of a spectrum at 1 nm."""
+    """S·(x̄, ȳ, z̄) divided by the sum of S·ȳ, for a spectrum S at steps of 1 nm."""
     observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(_shape()).values
-    # The interpolation to 1 nm leaves values of −1e-24 where the curves end.
+    # Interpolation to 1 nm gives values of −1e-24 at the ends of the curves.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)
     return np.asarray(products / products[:, 1].sum())
 
@@ -130,15 +133,15 @@ def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
 def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """Weights that turn samples of ρ(λ) into XYZ.
 
-    ρ is interpolated in 1/λ by the quintic through the six nearest samples and held constant outside them; its product
-    with the colour curves is integrated, and the weights are scaled to the exact white. Interpolated linearly, a narrow
-    order would see the curves blurred over the distance of two samples, which costs 1e-2 where they are steep; cubics
-    take up to twice the samples at a tolerance of 1e-4. Where a curve ends, or between samples further apart than
-    lines of the illuminant, weights may turn negative: their neighbours take these over.
+    ρ is interpolated in 1/λ by the quintic polynomial through the six nearest samples, and is constant outside them.
+    Its product with the colour curves is integrated, and the weights are scaled to the exact white. Linear
+    interpolation has an error of 1e-2 for narrow orders where the curves are steep. Cubic interpolation requires up to
+    twice the samples at a tolerance of 1e-4. Weights can become negative at the ends of a curve, or between samples
+    further apart than lines of the illuminant. Negative weights are moved to their neighbours.
 
     Args:
         wavelengths_nm: Strictly increasing wavelengths [nm], shape (m,).
-        illuminant: A name in colour-science's ``SDS_ILLUMINANTS``.
+        illuminant: Name in ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES`` of colour-science, or a spectrum.
 
     Returns:
         Weights, shape (m, 3), none negative: XYZ = ρ @ weights.
@@ -148,7 +151,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
     grid = VISIBLE_NM
-    # Between two of these both the curves and the interpolant are smooth: three Gauss points each.
+    # Between two cuts both the curves and the interpolant are smooth: three Gauss points per interval suffice.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]
     gauss, measure = np.polynomial.legendre.leggauss(3)
@@ -163,7 +166,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Masses at points, shape (p, 3), given to the nearest nodes by Lagrange interpolation in 1/λ, shape (m, 3)."""
+    """Distribute masses (p, 3) at points to the nearest nodes by Lagrange interpolation in 1/λ, shape (m, 3)."""
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])
     first = np.clip(np.searchsorted(nodes, points) - stencil // 2, 0, nodes.size - stencil)
@@ -178,10 +181,10 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights with half of what is negative given to either side, over and over: a smooth ρ sees no difference."""
-    for _ in range(_SHARED_OUT):
+    """Move each negative weight in halves to its two neighbours, repeatedly; sums over a smooth ρ hardly change."""
+    for _ in range(_MOST_ROUNDS):
         negative = np.minimum(weights, 0.0)
-        if np.all(negative.sum(axis=0) >= -_NOTHING * weights.sum(axis=0)):
+        if np.all(negative.sum(axis=0) >= -_NEGLIGIBLE * weights.sum(axis=0)):
             break
         halves = np.pad(0.5 * negative, ((1, 1), (0, 0)), "edge")
         weights = weights - negative + halves[:-2] + halves[2:]
@@ -191,7 +194,7 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
     """``count`` wavelengths [nm], increasing, equally spaced in 1/λ over the visible range, ends included.
 
-    A Fourier coefficient crosses a direction as a Gaussian in 1/λ, of the same width throughout the spectrum.
+    In one direction a Fourier coefficient contributes as a Gaussian in 1/λ, whose width is the same for all λ.
     """
     validation.count(count, "count", least=2)
     return 1.0 / np.linspace(1.0 / LAMBDA_MIN_NM, 1.0 / LAMBDA_MAX_NM, count)
@@ -203,8 +206,8 @@ def uniform_quadrature(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``count`` wavenumbers [1/µm] over the visible range, shape (m,), and weights, shape (m, 3).
 
-    They are equally spaced, or, ``geometric``, have equal ratios: under a source of some angular size a coefficient's
-    Gaussian has a width in proportion to λ.
+    They are equally spaced. With ``geometric`` they have equal ratios, for a source of finite size: the width of a
+    coefficient's Gaussian is then proportional to λ.
     """
     wavelengths = wavelengths_uniform_in_wavenumber(count)
     if geometric:
@@ -216,10 +219,7 @@ def uniform_quadrature(
 
 
 def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return wavelengths [nm] as a float64 array of shape (m,), each within 100 to 10,000 nm.
-
-    The wide range admits infrared and ultraviolet; micrometres given for nanometres are refused.
-    """
+    """Return wavelengths [nm] as a float64 array of shape (m,); refuse values outside 100 to 10,000 nm."""
     nodes = np.atleast_1d(validation.finite_array(wavelengths_nm, "wavelengths_nm"))
     if nodes.ndim != 1 or nodes.size == 0:
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must have shape (m,), got {nodes.shape}")
@@ -242,7 +242,7 @@ def rgb_to_xyz(rgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
-    """ΔE2000 (CIE 142) between XYZ, shape (..., 3), relative to D65's white of Y = 1."""
+    """ΔE2000 (CIE 142) between XYZ colours, shape (..., 3); the white point is D65 with Y = 1."""
     colour = colour_science()
     white = colour.XYZ_to_xy(colour_products("D65").sum(axis=0))
     labs = [colour.XYZ_to_Lab(np.asarray(colours, dtype=np.float64), white) for colours in (xyz, other)]
@@ -250,7 +250,7 @@ def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
 
 
 def srgb_encode(linear: ArrayLike) -> NDArray[np.float64]:
-    """SRGB transfer function (IEC 61966-2-1): linear values, clipped to [0, 1], to encoded ones."""
+    """Encode linear values, clipped to [0, 1], by the sRGB transfer function (IEC 61966-2-1)."""
     clipped = np.clip(np.asarray(linear, dtype=np.float64), 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055)
 

@@ -1,7 +1,8 @@
 """Materials: reflectance of smooth surfaces by complex indices of refraction, with or without a thin film.
 
-A flat boundary reflects by the equations of Fresnel, a film on it by Airy's sum (Born and Wolf, Principles of Optics,
-sections 1.5, 1.6 and 14.4). Indices are n + ik, k >= 0 where light is absorbed, and light comes through air.
+The reflectance of a flat boundary follows from Fresnel's equations, that of a thin film from Airy's sum (Born and Wolf,
+Principles of Optics, sections 1.5, 1.6 and 14.4). Indices are n + ik, with k > 0 for absorption. Light arrives through
+air.
 """
 
 from __future__ import annotations
@@ -22,24 +23,28 @@ from warpdiff.optics import colorimetry, refractive_index_files
 from warpdiff.optics.reflectance_factors import normal_reflectance, schlick
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterable
 
     from numpy.typing import ArrayLike, NDArray
 
+    _Complex = NDArray[np.complex128]
+
 METALS = Path(__file__).with_name("metals.json")
 Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
 Polarisation = Literal["s", "p"]
-# A thicker film's fringes are narrower than colours are sampled for.
+# Limit on the thickness of a film [nm]: fringes of thicker films are narrower than the sampling of colours resolves.
 _THICKEST_FILM_NM = 1000.0
-# Limit of k: a material that absorbs more transmits no light to a pigment, as power falls to 1/e within 4 µm.
+# Limit on k above which a material counts as opaque to a pigment below it: power falls to 1/e within 4 µm. If doubled,
+# more materials show their pigment.
 _OPAQUE = 0.01
-# Linear interpolation between them has an error of 3e-6 for Schlick's reflectance.
+# Number of angles in a table of transmittances: linear interpolation has an error of 3e-6 for Schlick's reflectance.
 _TRANSMITTANCE_ANGLES = 1025
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Material with a complex index of refraction n + ik, linear between wavelengths, and at most one film on it.
+    """Material with a complex index of refraction n + ik, interpolated linearly, and at most one thin film.
 
     Two materials are equal if their numbers are equal.
 
@@ -52,6 +57,14 @@ class Material:
         source: Origin of the numbers, and their licence.
         film: Material of the film; None is no film.
         film_nm: Thickness of the film [nm], 0 to 1000.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> gold = wd.Material.metal("Au")
+        >>> gold.reflectance([450.0, 650.0], angle_deg=0.0).round(2)
+        array([0.41, 0.96])
+        >>> print(wd.Material.metal("Al").coated(wd.Material.dielectric(1.38), 100.0))
+        aluminium under 100 nm of n = 1.38
     """
 
     wavelengths_nm: ArrayLike = field(repr=False)
@@ -61,7 +74,7 @@ class Material:
     source: str = field(default="", repr=False)
     film: Material | None = None
     film_nm: float = 0.0
-    _key: Any = field(init=False, repr=False)
+    _key: tuple[object, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         wavelengths = colorimetry.check_wavelengths(self.wavelengths_nm)
@@ -108,6 +121,12 @@ class Material:
 
         Args:
             n: Index of refraction at all wavelengths, more than 1.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> glass = wd.Material.dielectric(1.5)
+            >>> print(f"{glass.reflectance(550.0, 0.0):.3f}")
+            0.040
         """
         return cls([550.0], [validation.number(n, "n", above=1.0)], name=f"n = {n:g}")
 
@@ -117,6 +136,11 @@ class Material:
 
         Args:
             symbol: Chemical symbol: Al, Ag, Au, Cr, Cu or Ni.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> print(wd.Material.metal("Cu"))
+            copper
         """
         return _metals()[validation.choice(symbol, "symbol", get_args(Metal))]
 
@@ -131,12 +155,18 @@ class Material:
             n: Real parts, 0.001 to 100, shape (m,) or one number.
             k: Imaginary parts, 0 to 100, shape (m,) or one number, by default 0.
             name: Name in messages and ``print``.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> chitin = wd.Material.from_nk([380.0, 780.0], [1.58, 1.55], name="chitin")
+            >>> print(f"{chitin.reflectance(580.0, 0.0):.4f}")
+            0.0485
         """
         return cls(wavelengths_nm, n, k, name=name)
 
     @classmethod
-    def from_file(cls, path: Any) -> Material:
-        """Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
+    def from_file(cls, path: str | os.PathLike[str]) -> Material:
+        r"""Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
 
         Args:
             path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of
@@ -145,6 +175,14 @@ class Material:
         Raises:
             FileNotFoundError: The file does not exist.
             ValueError: The file has no index of refraction that can be read.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> import warpdiff as wd
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "glass.csv"
+            >>> _ = file.write_text("wl,n\n0.38,1.53\n0.78,1.51\n")
+            >>> print(wd.Material.from_file(file))
+            glass
         """
         file = validation.path(path, "path")
         wavelengths_nm, n, k, source = refractive_index_files.read(file)
@@ -159,6 +197,11 @@ class Material:
         Args:
             film: Material of the film, without a film of its own.
             thickness_nm: Thickness of the film [nm], more than 0 and at most 1000.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> print(wd.Material.metal("Cr").coated(wd.Material.dielectric(2.4), 60.0))
+            chromium under 60 nm of n = 2.4
         """
         validation.instance(film, Material, "film")
         thickness = validation.number(thickness_nm, "thickness_nm", above=0.0, most=_THICKEST_FILM_NM)
@@ -181,6 +224,11 @@ class Material:
 
         Returns:
             R, 0 to 1, in the broadcast shape.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> wd.Material.dielectric(1.5).reflectance(550.0, [0.0, 56.31], polarisation="p").round(3)
+            array([0.04, 0.  ])
         """
         wavelengths = validation.finite_array(wavelengths_nm, "wavelengths_nm")
         angles = validation.finite_array(angle_deg, "angle_deg")
@@ -204,7 +252,7 @@ class Material:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether no visible light is transmitted to a pigment below."""
+        """Whether the material transmits no visible light to a pigment below it."""
         return bool(np.max(_index(self, colorimetry.VISIBLE_NM).imag) > _OPAQUE)
 
 
@@ -214,10 +262,10 @@ def reflectance_at(
     cosine: NDArray[np.float64],
     polarisation: Polarisation | None = None,
 ) -> NDArray[np.float64]:
-    """R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
+    """R at wavelengths [nm] and cosines of the angle of incidence, which broadcast against each other."""
     cosine = np.clip(cosine, 0.0, 1.0)
     media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
-    # Cosines in each medium by Snell's law; the roots decay into what absorbs.
+    # Cosines in each medium by Snell's law. The principal root is the wave that decays into an absorbing medium.
     along2 = 1.0 - cosine * cosine
     indices = [np.ones_like(media[0]), *media]
     cosines = [cosine + 0j, *(np.sqrt(1.0 - along2 / (index * index) + 0j) for index in media)]
@@ -229,7 +277,7 @@ def reflectance_at(
             for first, second, one, other in zip(indices, indices[1:], cosines, cosines[1:], strict=False)
         )
         if below:
-            # Airy's sum of all that goes to and fro in the film.
+            # Airy's sum over multiple reflections in the film.
             below[0] = below[0] * np.exp(4j * np.pi * material.film_nm / wavelengths_nm * indices[1] * cosines[1])
             amplitude = (amplitude + below[0]) / (1.0 + amplitude * below[0])
         result = result + np.abs(amplitude) ** 2 / len(polarisations)
@@ -239,9 +287,9 @@ def reflectance_at(
 def reflectances(
     material: Material | None, scattering_vectors: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """R(θd, λ) of scattering vectors (n, 3), whose cos θd is |(u, v, w)|/2, at wavelengths [nm] (m,), shape (n, m).
+    """R(θd, λ), shape (n, m), for n scattering vectors, with cos θd = |(u, v, w)|/2, and m wavelengths [nm].
 
-    Without a material it is 1: the reflectance is in the gains.
+    Without a material the result is 1, because the gains contain the reflectance.
     """
     if material is None:
         return np.ones((1, 1))
@@ -249,7 +297,7 @@ def reflectances(
 
 
 def check_covers(material: Material, low_nm: float, high_nm: float, name: str = "material") -> None:
-    """Refuse wavelengths beyond a material's table."""
+    """Raise ``ValueError`` if the table of a material, or of its film, does not cover a range of wavelengths."""
     for part in (material, material.film):
         table = np.zeros(1) if part is None else np.asarray(part.wavelengths_nm)
         if part is not None and len(table) > 1 and (low_nm < table[0] or high_nm > table[-1]):
@@ -260,22 +308,24 @@ def check_covers(material: Material, low_nm: float, high_nm: float, name: str = 
 
 
 def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """N + ik at wavelengths [nm], without the film; the ends hold beyond the table."""
+    """Return n + ik of a material without its film at wavelengths [nm]; beyond the table its end values apply."""
     table, n, k = (np.asarray(column) for column in (material.wavelengths_nm, material.n, material.k))
     return np.asarray(np.interp(wavelengths_nm, table, n) + 1j * np.interp(wavelengths_nm, table, k))
 
 
-def _fresnel(first: Any, second: Any, cosine: Any, beyond: Any, polarisation: Polarisation) -> Any:
-    """Fresnel's amplitude at the boundary from a medium to the next one, by their indices and cosines."""
-    a, b = (first * cosine, second * beyond) if polarisation == "s" else (second * cosine, first * beyond)
+def _fresnel(
+    first: _Complex, second: _Complex, cosine: _Complex, next_cosine: _Complex, polarisation: Polarisation
+) -> _Complex:
+    """Fresnel's reflected amplitude at a boundary, from the indices and the cosines of both media."""
+    a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
-    # Both vanish at 90° to a medium of the same index alone.
-    return (a - b) / np.where(total == 0.0, 1.0, total)
+    # The sum is zero only at 90° between media of the same index.
+    return np.asarray((a - b) / np.where(total == 0.0, 1.0, total))
 
 
 @functools.cache
 def _metals() -> dict[str, Material]:
-    """The metals of the data file by symbol."""
+    """Metals of the data file by chemical symbol."""
     tables = json.loads(METALS.read_text(encoding="utf-8"))
     return {
         symbol: Material(
@@ -287,33 +337,35 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and the material that it falls on: what the colours of a table, or of a sum, are for.
+    """Illuminant and illuminated material, for which a table or a sum computes colours.
 
     Attributes:
-        illuminant: Its name, or its spectrum.
-        material: None stands for one whose reflectance is in the gains.
+        illuminant: Name or spectrum of the illuminant.
+        material: Material; None if the gains contain the reflectance.
     """
 
     illuminant: colorimetry.Illuminant
     material: Material | None = None
 
     @classmethod
-    def of(cls, illuminants: Iterable[Any], materials: Iterable[Material | None]) -> tuple[IlluminatedMaterial, ...]:
-        """Each illuminant on each material, once."""
+    def of(
+        cls, illuminants: Iterable[colorimetry.Illuminant], materials: Iterable[Material | None]
+    ) -> tuple[IlluminatedMaterial, ...]:
+        """Return all pairs of an illuminant and a material, without duplicates."""
         return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
 
 
 @functools.lru_cache(maxsize=64)
 def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
-    """R at equal steps of the cosine from 0 to 1, and at 380, 381, … 780 nm, shape (angles, 401)."""
+    """R at equally spaced cosines from 0 to 1 and at 380, 381, … 780 nm, shape (angles, 401)."""
     cosines = np.linspace(0.0, 1.0, angles)[:, None]
     result = reflectance_at(material, colorimetry.VISIBLE_NM, cosines).astype(np.float32)
     result.setflags(write=False)
     return result
 
 
-def check_reflection(ior: Any, material: Any) -> tuple[float, Material | None]:
-    """R(0) that reflectances are relative to, and the material: of an index of refraction, or 1 of a material's."""
+def check_reflection(ior: object, material: Any) -> tuple[float, Material | None]:
+    """Return R(0), to which reflectances are relative, and the material. R(0) is 1 if a material replaces ``ior``."""
     if material is None:
         return normal_reflectance(1.5 if ior is None else ior), None
     validation.instance(material, Material, "material")
@@ -322,11 +374,11 @@ def check_reflection(ior: Any, material: Any) -> tuple[float, Material | None]:
 
 
 def check_materials(
-    ior: Any, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
+    ior: object, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
 ) -> tuple[float, dict[str, Material | None]]:
-    """The same with materials by name of a geometry, where they may be so; one has no name, ``""``.
+    """Return R(0) and the materials by the name of their geometry; a single material has the name ``""``.
 
-    They must cover a band of wavelengths [nm].
+    With ``by_geometry`` a mapping from names to materials is accepted. Materials must cover the band of wavelengths.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)
@@ -348,7 +400,7 @@ def check_materials(
     return 1.0, dict(material)
 
 
-def _check_no_ior(ior: Any) -> None:
+def _check_no_ior(ior: object) -> None:
     if ior is not None:
         raise ArgumentValueError(
             f"{ref('ior')} must not be given with {ref('material')}, got {ior!r}: remove one of them"
@@ -356,10 +408,10 @@ def _check_no_ior(ior: Any) -> None:
 
 
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
-    """1 − R in linear RGB at equal steps of the cosine from 0 to 1, what comes through to a pigment, shape (n, 3).
+    """Transmittance 1 − R to a pigment below, in linear RGB, at equally spaced cosines from 0 to 1, shape (n, 3).
 
-    By Schlick's reflectance of R(0) without a material. What absorbs lets nothing through; a film's colours are means
-    over what each of RGB sees of daylight.
+    Without a material R is Schlick's reflectance. Opaque materials transmit nothing. The transmittance of a film is
+    averaged over the spectral sensitivity of each of R, G and B under daylight.
     """
     cosines = np.linspace(0.0, 1.0, _TRANSMITTANCE_ANGLES)
     if material is None:

@@ -6,7 +6,7 @@ Directions are unit vectors in the local frame, away from the surface: x along t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 
-def normal_reflectance(ior: Any) -> float:
-    """R(0) = ((n − 1)/(n + 1))² of an index of refraction n > 1; infinity is a perfect mirror, 1."""
+def normal_reflectance(ior: object) -> float:
+    """R(0) = ((n − 1)/(n + 1))² for an index of refraction n > 1; 1 for infinity, a perfect mirror."""
     if isinstance(ior, (int, float, np.integer, np.floating)) and not isinstance(ior, bool) and ior == math.inf:
         return 1.0
     try:
@@ -42,11 +42,11 @@ def gain(
     to_light: NDArray[np.float64], to_view: NDArray[np.float64], *, normal: float, masking: bool,
     per_light_cosine: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """The factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 where a direction is at or below the horizon.
+    """Factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is at or below the horizon.
 
-    C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is Single 2014, eq. 3.15, with Schlick's power
-    reflectance used once; M is the V-cavity masking and shadowing of Cook and Torrance (1982). For a light of a size
-    it is C·M/cos θi: in the mirror direction a flat mirror shows the radiance of the source, ρ = R(θi)/R(0).
+    C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is eq. 3.15 of Single 2014, with Schlick's power
+    reflectance used once. M is the V-cavity masking and shadowing of Cook and Torrance (1982). For a source of finite
+    size the factor is C·M/cos θi: a flat mirror then shows the radiance of the source, ρ = R(θi)/R(0).
 
     Args:
         to_light: Unit vectors, shape (n, 3).
@@ -61,7 +61,7 @@ def gain(
     cos_i, cos_r = to_light[:, 2], to_view[:, 2]
     above = (cos_i > HORIZON) & (cos_r > HORIZON)
     half = to_light + to_view
-    # 1 + ωi·ωr = |ωi + ωr|²/2 without cancellation; it is 0 only for opposite directions, of which one lies below.
+    # 1 + ωi·ωr = |ωi + ωr|²/2 avoids cancellation. It is 0 only for opposite directions, one of which is below.
     overlap = np.sum(half * half, axis=1) / 2.0
     safe = np.where(above, overlap, 1.0)
     cos_d = np.sqrt(safe / 2.0)
@@ -79,13 +79,12 @@ def gain(
 def light_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """Ω(λ) [sr]: the solid angle of the light under which just this much of the surface interferes.
+    """Ω(λ) [sr]: solid angle of a light whose coherence equals the window, the source or the periods.
 
-    A Gaussian window of the amplitude, averaged or centred: λ²/(4πσ²). A source of angular radius α = √2 s:
-    πα² = 2πs². N1 × N2 periods of a patch of area A: λ²/(A N1 N2). In each of them Ω = λ² ∫g² / |∫g|², with g the
-    window (Stam 1999), which for a source is the one of van Cittert and Zernike, σ(λ) = λ/(2√2 πs). The relative
-    reflectance is the radiance over that of this light, so that Ω is all it takes to compare ρ with anything that is
-    absolute.
+    Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, it
+    is λ²/(4πσ²). For a source of angular radius α = √2 s it is πα² = 2πs²; its window by van Cittert and Zernike has
+    σ(λ) = λ/(2√2 πs). For N1 × N2 periods of a patch of area A it is λ²/(A N1 N2). The relative reflectance ρ is the
+    radiance divided by that of this light, so that Ω converts ρ to absolute quantities.
 
     Args:
         wavelengths_um: Wavelengths [µm].
@@ -93,7 +92,7 @@ def light_solid_angle(
         patch_area_um2: Area of the patch, Lx·Ly [µm²]; used for periods only.
 
     Returns:
-        The shape of the wavelengths.
+        Solid angles [sr], in the shape of the wavelengths.
     """
     if coherence.kind == "source":
         return np.full(np.shape(wavelengths_um), 2.0 * math.pi * coherence.spread**2)
@@ -107,10 +106,10 @@ def light_solid_angle(
 def pigment_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """G = Ω/π: what relates a Lambertian reflectance to the relative one; a Lambertian BRDF is a/π.
+    """G = Ω/π: factor from a Lambertian reflectance a, whose BRDF is a/π, to a relative reflectance.
 
-    λ²/(4π²σ²) for Gaussian windows, 2s² for a source, λ²/(πA N1 N2) for periods of a patch of area A; the arguments are
-    those of :func:`light_solid_angle`.
+    It is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
+    arguments are those of :func:`light_solid_angle`.
     """
     return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi
 
@@ -118,11 +117,11 @@ def pigment_solid_angle(
 def brdf_scale(
     cos_light: NDArray[np.float64], wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """1/(Ω cos θi): the absolute BRDF [1/sr] over R(0)·ρ, with ρ unmasked (Stam 1999).
+    """1/(Ω cos θi): ratio of the absolute BRDF [1/sr] to R(0)·ρ, with ρ without masking (Stam 1999).
 
-    With ρ = C ⟨|P|²⟩, for a source C/cos θi ⟨|P|²⟩, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times
-    4πσ²/λ² for Gaussian windows, 1/(2π √det Σs) for a source, whose √det Σs = s² cos θi has the second cosine, and
-    A N1 N2/λ² for periods.
+    With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
+    times a factor. The factor is 4πσ²/λ² for Gaussian windows and A N1 N2/λ² for periods. For a source it is
+    1/(2π √det Σs), where √det Σs = s² cos θi contains the second cosine.
 
     Args:
         cos_light: cos θi > 0, shape (n,).

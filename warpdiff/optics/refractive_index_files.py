@@ -1,10 +1,10 @@
-"""Readers of refractive index files: YAML and CSV of refractiveindex.info."""
+"""Readers of refractive index files of refractiveindex.info, in YAML or CSV."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of wavelengths at which a formula is tabulated.
+# Number of wavelengths at which a formula is tabulated, from 0.1 to 10 µm in equal ratios; linear in between.
 _STEPS = 512
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
 _TAGS = re.compile(r"<[^>]*>")
@@ -26,7 +26,7 @@ Table = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
 
 def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
-    """Wavelengths [nm], n, k and the source that the file names.
+    """Return wavelengths [nm], n, k and the literature reference of a file.
 
     Raises:
         OSError: The file does not exist, or cannot be read.
@@ -47,9 +47,9 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
 
 def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
-    """The wavelengths of either table within the range of both."""
+    """Wavelengths [µm] of the tables of n and k, within the range that both cover."""
     if "n" not in tables:
-        raise ValueError("there is no index of refraction n in it")
+        raise ValueError("the file has no index of refraction n")
     columns = [wavelengths for wavelengths, _ in tables.values()]
     low, high = max(column[0] for column in columns), min(column[-1] for column in columns)
     wavelengths = np.unique(np.concatenate(columns))
@@ -60,11 +60,11 @@ def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
 
 
 def _yaml(text: str) -> tuple[dict[str, Table], str]:
-    """The tables and formulas of a YAML file of refractiveindex.info, which lists them by type."""
+    """Read the tables and formulas of a YAML file, which lists them by type, and its literature reference."""
     blocks = list(_BLOCK.finditer(text))
     if not blocks:
         raise ValueError(
-            "there is no '- type: tabulated nk' or '- type: formula 1' in it, as in the YAML of refractiveindex.info"
+            "the file has no entry such as '- type: tabulated nk' or '- type: formula 1', as refractiveindex.info has"
         )
     tables: dict[str, Table] = {}
     for index, block in enumerate(blocks):
@@ -89,7 +89,7 @@ def _yaml(text: str) -> tuple[dict[str, Table], str]:
 
 
 def _formula(number: str, body: str) -> Table:
-    """Tabulate one of the formulas of refractiveindex.info, c in the order of its ``coefficients``."""
+    """Tabulate a formula of refractiveindex.info; c holds its ``coefficients`` in their order."""
     if number not in _FORMULAS:
         raise ValueError(f"formula {number} is not supported: use a table, or formula 1, 2, 3 or 5")
     numbers = {}
@@ -109,20 +109,22 @@ def _formula(number: str, body: str) -> Table:
     return um, n
 
 
-def _sellmeier(um: Any, first: float, pairs: list[tuple[float, float]], *, squared: bool) -> Any:
-    return np.sqrt(1.0 + first + sum(b * um**2 / (um**2 - (c**2 if squared else c)) for b, c in pairs))
+def _sellmeier(
+    um: NDArray[np.float64], first: float, pairs: list[tuple[float, float]], *, squared: bool
+) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(1.0 + first + sum(b * um**2 / (um**2 - (c**2 if squared else c)) for b, c in pairs)))
 
 
-_FORMULAS: dict[str, Callable[[Any, float, list[tuple[float, float]]], Any]] = {
+_FORMULAS: dict[str, Callable[[NDArray[np.float64], float, list[tuple[float, float]]], NDArray[np.float64]]] = {
     "1": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=True),
     "2": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=False),
     "3": lambda um, first, pairs: np.sqrt(first + sum(c * um**power for c, power in pairs)),
-    "5": lambda um, first, pairs: first + sum(c * um**power for c, power in pairs),
+    "5": lambda um, first, pairs: np.asarray(first + sum(c * um**power for c, power in pairs)),
 }
 
 
 def _csv(text: str) -> dict[str, Table]:
-    """The columns of a CSV file: wavelength, n and perhaps k, or one block after the other of each."""
+    """Read a CSV file with columns of wavelength, n and perhaps k, or with one block for n and one for k."""
     tables: dict[str, Table] = {}
     names, rows, scale = ["n", "k"], list[list[str]](), 1.0
 
@@ -158,14 +160,14 @@ def _number(cell: str) -> float | None:
 
 
 def _rows(lines: list[list[str]], columns: int) -> NDArray[np.float64]:
-    """The lines that begin with as many numbers, as an array."""
+    """Return the lines that begin with ``columns`` numbers, as an array."""
     rows = []
     for cells in lines:
         numbers = [_number(cell) for cell in cells[:columns]]
         if len(numbers) == columns and None not in numbers:
             rows.append(numbers)
     if not rows or columns < 2:
-        raise ValueError("there is no line with a wavelength and an index of refraction in it")
+        raise ValueError("the file has no line with a wavelength and an index of refraction")
     values = np.array(rows, dtype=np.float64)
     if not np.all(np.isfinite(values)):
         raise ValueError("all numbers must be finite")
@@ -173,6 +175,6 @@ def _rows(lines: list[list[str]], columns: int) -> NDArray[np.float64]:
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """A table in the order of wavelengths, each of which occurs once."""
+    """Return a table sorted by wavelength, without duplicates."""
     wavelengths, first = np.unique(um, return_index=True)
     return wavelengths, values[first]

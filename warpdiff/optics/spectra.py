@@ -14,18 +14,21 @@ from warpdiff.core.files import read_text
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
+    import os
+
     from numpy.typing import ArrayLike
 
-# c₂ of Planck's law [nm K], as CIE 15 has it.
+# Constant c₂ of Planck's law [nm K], from CIE 15.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
-# The range of CIE's formula for phases of daylight.
+# Range of the CIE formula for phases of daylight [K].
 _DAYLIGHT_K = (4000.0, 25_000.0)
 
 
 def colour_science() -> Any:
     """Import colour-science when it is first needed."""
-    with warnings.catch_warnings():
-        # colour-science announces at import which of its optional packages are absent; none is used here.
+    with warnings.catch_warnings(), np.printoptions():
+        # At import, colour-science warns of absent optional packages, none of which this package uses, and sets NumPy's
+        # print options, which belong to the user.
         warnings.simplefilter("ignore")
         import colour
 
@@ -34,7 +37,7 @@ def colour_science() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Relative spectral power distribution, linear between wavelengths, for ``illuminant=``.
+    """Relative spectral power distribution for ``illuminant=``, interpolated linearly.
 
     Two spectra are equal if their numbers are equal.
 
@@ -42,12 +45,19 @@ class Spectrum:
         wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, shape (m,), m > 1.
         values: Relative powers, at least 0, shape (m,).
         name: Name in messages and ``print``.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> diode = wd.Spectrum([380.0, 580.0, 780.0], [0.0, 1.0, 0.2], name="LED")
+        >>> light = wd.DirectionalLight([0.0, 0.0, 1.0], illuminant=diode)
+        >>> print(light.illuminant)
+        LED
     """
 
     wavelengths_nm: ArrayLike = field(repr=False)
     values: ArrayLike = field(repr=False)
     name: str = "spectrum"
-    _key: Any = field(init=False, repr=False)
+    _key: tuple[bytes, bytes] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         wavelengths = np.atleast_1d(validation.finite_array(self.wavelengths_nm, "wavelengths_nm"))
@@ -92,10 +102,15 @@ class Spectrum:
 
         Args:
             temperature_k: Temperature [K], 500 to 100,000; filaments have 2700 to 3200.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> print(wd.Spectrum.blackbody(2856.0))
+            black body of 2856 K
         """
         kelvin = validation.number(temperature_k, "temperature_k", least=500.0, most=1e5)
         nm = np.arange(360.0, 831.0)
-        # Relative to 560 nm, so that nothing overflows.
+        # Powers are relative to that at 560 nm, which prevents overflow.
         exponents = _SECOND_RADIATION_CONSTANT / kelvin * (1.0 / nm - 1.0 / 560.0)
         ratio = np.expm1(-_SECOND_RADIATION_CONSTANT / (kelvin * 560.0)) / np.expm1(
             -_SECOND_RADIATION_CONSTANT / (kelvin * nm)
@@ -108,6 +123,11 @@ class Spectrum:
 
         Args:
             temperature_k: Correlated colour temperature [K], 4000 to 25,000.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> print(wd.Spectrum.daylight(6500.0))
+            daylight of 6500 K
         """
         kelvin = validation.number(temperature_k, "temperature_k", least=_DAYLIGHT_K[0], most=_DAYLIGHT_K[1])
         colour = colour_science()
@@ -115,8 +135,8 @@ class Spectrum:
         return cls(distribution.wavelengths, np.maximum(distribution.values, 0.0), name=f"daylight of {kelvin:g} K")
 
     @classmethod
-    def from_csv(cls, path: Any) -> Spectrum:
-        """Load a spectrum from a text file.
+    def from_csv(cls, path: str | os.PathLike[str]) -> Spectrum:
+        r"""Load a spectrum from a text file.
 
         Args:
             path: Path of the file: two columns, wavelength [nm] and relative power, separated by commas, semicolons or
@@ -125,6 +145,14 @@ class Spectrum:
         Raises:
             OSError: The file does not exist, or cannot be read.
             ValueError: The file has no such columns.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> import warpdiff as wd
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "diode.csv"
+            >>> _ = file.write_text("nm,power\n380,0.1\n580,1\n780,0.2\n")
+            >>> print(wd.Spectrum.from_csv(file))
+            diode
         """
         file = validation.path(path, "path")
         rows = []
@@ -136,7 +164,7 @@ class Spectrum:
         rows = [row for row in rows if len(row) == 2]
         if len(rows) < 2:
             raise ArgumentValueError(
-                f"{ref('path')}: {file.name}: there are no two columns of numbers in it, wavelength [nm] and power"
+                f"{ref('path')}: {file.name} must have two columns of numbers, wavelength [nm] and power"
             )
         table = np.array(rows)
         try:

@@ -1,10 +1,10 @@
-"""The range of a call's directions, and a sample of them to try plans on."""
+"""Range of a call's directions, and a sample of them on which the planner tries plans."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Largest number of directions in a plan's sample of a call.
+# Limit on the number of directions in the sample that a plan is tried on. If doubled, planning takes longer.
 MOST_SAMPLED = 8192
-# Number of directions from which on a sample excludes half of them.
+# Number of directions of a call from which the planner samples at most half of them; smaller calls are used whole.
 _SAMPLED_FROM = 4096
+# Random seed of the sample, arbitrary; with another seed, plans differ slightly.
 _SEED = 2
 
 
 @dataclass(frozen=True)
 class DirectionSample:
-    """Illuminated directions of a call.
+    """Sample of the illuminated directions of a call.
 
     Attributes:
-        scattering_vectors: (u, v, w), shape (n, 3), float64.
-        to_lights: Unit vectors in the local frame, shape (n, 3), float64.
-        gains: Factor between ⟨|P|²⟩ and the result, shape (n,).
-        weights: For how many of the call's directions each stands, shape (n,).
+        scattering_vectors: Scattering vectors (u, v, w), shape (n, 3), float64.
+        to_lights: Unit vectors to the light in the local frame, shape (n, 3), float64.
+        gains: Factors between ⟨|P|²⟩ and the result, shape (n,).
+        weights: Number of directions of the call that each direction of the sample represents, shape (n,).
     """
 
     scattering_vectors: NDArray[np.float64]
@@ -46,9 +47,13 @@ class DirectionSample:
 
     @classmethod
     def among(
-        cls, scattering_vectors: NDArray[np.float64], to_lights: NDArray[Any], gains: NDArray[Any], parts: int = 1
+        cls,
+        scattering_vectors: NDArray[np.float64],
+        to_lights: NDArray[np.floating],
+        gains: NDArray[np.floating],
+        parts: int = 1,
     ) -> DirectionSample:
-        """Some of the illuminated directions, spread over their order; ``parts`` passes share a call's sample."""
+        """Sample the illuminated directions evenly in their order; ``parts`` passes share the sample of a call."""
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
         weights = np.full(len(places), len(illuminated) / max(len(places), 1))
@@ -67,21 +72,21 @@ class DirectionSample:
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Take the directions at some places, with weights of their own."""
+        """Return the directions at some indices, with other weights."""
         return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Indices of the illuminated directions in a plan's sample, where ``parts`` passes share the sample."""
-    # Of as many passes as many lights have, each gives one at least.
+    """Indices of the illuminated directions in a sample that ``parts`` passes share."""
+    # Each pass contributes at least one direction, however many passes there are.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 
 def stratified(count: int, most: int) -> NDArray[np.int64]:
-    """At most ``most`` of ``count`` indices, ascending: one at a random place of each of as many equal runs.
+    """Return at most ``most`` of ``count`` indices, ascending, by stratified sampling: one random index per stratum.
 
-    A fixed stride would meet a picture's rows always at the same place, or all on one diagonal.
+    A fixed stride could select one column or one diagonal of a picture.
     """
     if count <= most:
         return np.arange(count)
@@ -112,7 +117,8 @@ class DirectionRange:
     @classmethod
     def of(
         cls, heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
-        to_lights: NDArray[Any], illuminated: NDArray[np.bool_], wavelengths_nm: NDArray[np.float64] | None = None,
+        to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
+        wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
         """Return the range of the illuminated scattering vectors and directions to the light, both of shape (n, 3)."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
@@ -129,7 +135,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """The direction range of both; one without illuminated directions adds nothing."""
+        """Return the range that covers both; a range without illuminated directions has no effect."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
@@ -142,7 +148,7 @@ class DirectionRange:
 
     @property
     def kappas(self) -> tuple[float, float]:
-        """The range of |κ| = |w|/λ [1/µm]."""
+        """Smallest and largest |κ| = |w|/λ [1/µm]."""
         return 1e3 * self.min_w / self.lambda_max_nm, 1e3 * self.max_w / self.lambda_min_nm
 
 
@@ -150,12 +156,12 @@ def order_rate(
     heightfield: HeightField,
     coherence: Coherence,
     scattering_vectors: NDArray[np.float64],
-    to_lights: NDArray[np.float64],
+    to_lights: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """How fast coefficients pass by as 1/λ changes, in units that depend on the coherence, shape (n,).
+    """Rate at which the frequency q moves over the coefficients as 1/λ changes, shape (n,).
 
-    |(u, v)| for a window; for a source with (u, v) stretched along the light's tangent, in which it is foreshortened;
-    |(u Lx, v Ly)| for replicas [µm].
+    It is |(u, v)| for a window and |(u Lx, v Ly)| [µm] for replicas. For a source (u, v) is first stretched along the
+    tangential direction of the light, in which the source is foreshortened.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":
@@ -167,7 +173,7 @@ def order_rate(
 
 
 def hemisphere_pairs(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Random pairs of unit vectors above the horizon, uniform over the hemisphere, shapes (count, 3)."""
+    """Return random pairs of unit vectors, uniform over the hemisphere, both of shape (count, 3)."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.0, 1.0, (2, count))
     phi = rng.uniform(0.0, 2.0 * math.pi, (2, count))

@@ -1,9 +1,9 @@
-"""An evaluation: checked settings with what they resolve to, carried from the public functions to the kernels."""
+"""``Evaluation``: checked and resolved settings, which public functions pass to the planner and to the kernels."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpdiff.core import forks
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -14,6 +14,7 @@ from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial, check_materials
 
 if TYPE_CHECKING:
+    import numpy as np
     import warp as wp
     from numpy.typing import NDArray
 
@@ -26,26 +27,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What is evaluated, how accurately, by which method, under which light and on which device.
+    """Resolved settings of a call: surface, accuracy, method, light and device.
 
     Attributes:
         heightfield: The height field.
-        tolerance: Accepted error of XYZ, or of ρ.
+        tolerance: Accepted relative error of XYZ, or of ρ for a spectrum.
         method: One of the methods of ``settings.Method``.
         integration: One of ``settings.Integration``.
-        coherence: The coherence: of the explicit plan, the given one, or the default.
+        coherence: Coherence of the explicit plan, or that of the settings, or the default.
         normal_reflectance: R(0) of the index of refraction; 1 for a material.
-        materials: Materials by the name of a geometry; a single one has the name ``""``, and None stands for the index
-            of refraction.
+        materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
+            the index of refraction.
         masking: Whether V-cavity masking is included.
         energy: One of ``settings.Energy``.
-        plan: An explicit plan.
+        plan: Explicit plan, or None.
         strict: Whether a tolerance that cannot be met is an error.
-        device: The Warp device.
-        threads: Threads on the CPU.
-        illuminated: Pairs of illuminant and material, of which the largest error counts.
-        wavelengths_nm: Wavelengths of a spectrum; None integrates over the wavelength.
-        footprint: Whether pixels show means over their filter.
+        device: Warp device.
+        threads: Number of threads on the CPU.
+        illuminated: Pairs of illuminant and material; the largest error over the pairs counts.
+        wavelengths_nm: Wavelengths of a spectrum [nm]; None integrates over the wavelength.
+        footprint: Whether a pixel shows the mean over its filter.
     """
 
     heightfield: HeightField
@@ -62,15 +63,16 @@ class Evaluation:
     device: wp.Device
     threads: int
     illuminated: tuple[IlluminatedMaterial, ...]
-    wavelengths_nm: NDArray[Any] | None = None
+    wavelengths_nm: NDArray[np.float64] | None = None
     footprint: bool = False
 
     @classmethod
     def of(
-        cls, heightfield: Any, settings: CommonSettings, *, illuminants: tuple[Any, ...] = (),
-        wavelengths_nm: NDArray[Any] | None = None, by_geometry: bool = False, footprint: bool = False,
+        cls, heightfield: HeightField, settings: CommonSettings, *,
+        illuminants: tuple[colorimetry.Illuminant, ...] = (), wavelengths_nm: NDArray[np.float64] | None = None,
+        by_geometry: bool = False, footprint: bool = False,
     ) -> Evaluation:  # fmt: skip
-        """Resolve checked settings for a height field; materials by the names of geometries take ``by_geometry``."""
+        """Resolve checked settings for a height field; with ``by_geometry`` materials may be a mapping by geometry."""
         check_whole(heightfield)
         for illuminant in illuminants:
             colorimetry.check_illuminant(illuminant)
@@ -97,15 +99,15 @@ class Evaluation:
 
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
-        """The factors of colours where energy is normalised."""
+        """Factors of colours for normalised energy, or None."""
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a plan with the error of this evaluation's energy factors."""
+        """Return a plan whose ``energy_spread`` is that of this evaluation's energy factors."""
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 
     @property
     def integrates(self) -> bool:
-        """Whether colours are asked for, which are integrals over λ."""
+        """Whether the result is a colour, an integral over λ, and not a spectrum."""
         return self.wavelengths_nm is None

@@ -1,4 +1,4 @@
-"""The plan: the numbers that the kernels get, and which methods and tolerances there are."""
+"""``Plan``: the parameters of the kernels with predicted errors; the methods and the coherences they support."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from warpdiff.request.directions import DirectionRange
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Mapping
     from pathlib import Path
 
-# Format of saved plans, which counts up as soon as a field changes its name or meaning.
+# Format of saved plans; its number increases when a field changes its name or meaning.
 _FORMAT = "warpdiff plan 1"
-# Limit of the size of a file that is read as a plan.
+# Limit on the size of a file that is read as a plan [bytes]; plans have about 1 kB.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -33,14 +34,16 @@ LABELS = {
     "power": "Chebyshev series of the powers",
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
-# What a core of a present processor does in a second, of a kernel's multiply-adds: of sums over wavelengths and of the
-# making of tables, and of look-ups, which wait for memory.
+# Multiply-adds per second of one processor core, as measured: sums over wavelengths and the making of tables; look-ups,
+# which wait for memory. They convert predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
-# An octave, of a table.
+# Limits on the rings per octave of a colour table.
 MIN_RINGS, MAX_RINGS = 4, 512
-# Functions of w come in multiples of these.
+# Step and limit of the number of functions of w in a colour table. Each number is compiled to kernels of its own, and
+# the step keeps these few.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
-# Least and most: of components of two unit vectors' sum, which may be rounded, and of wavelengths.
+# Limits (least, most) of the fields that state for which directions and wavelengths a plan is valid. A component of a
+# sum of two unit vectors is at most 2, plus rounding.
 _SCOPE = {
     **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),
@@ -51,23 +54,23 @@ _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """The numbers of a computation, and the reasons for them.
+    """Parameters of a computation, with predicted errors and costs.
 
-    ``dataclasses.replace(plan, terms=9)`` changes a number; pass the result as ``plan=``. Errors are relative errors of
-    XYZ, as ``tolerance`` is.
+    ``dataclasses.replace(plan, terms=9)`` changes a parameter; pass the result as ``plan=``. Errors are relative errors
+    of XYZ, as ``tolerance`` is.
 
     Attributes:
-        method: Expansion, or ``"direct"``.
-        coherence: Window, source or periods.
-        tolerance: Accepted error.
-        terms: Number of terms of the expansion, n = 0 … terms − 1.
-        least_weight: Smallest Gaussian weight, of powers or of amplitudes, of a neighbouring coefficient that counts.
-        wavelengths: Number of samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source; 0 for a
-            spectrum at wavelengths of the caller.
-        subdivisions: Samples of the periods' factor per sample of the patch's factor, for ``"replicas"``.
+        method: Name of the expansion, or ``"direct"``.
+        coherence: Coherence: a window, a source size or a number of periods.
+        tolerance: Accepted error, 1e-5 to 0.5.
+        terms: Number of terms of the expansion, 1 to 128.
+        least_weight: Smallest Gaussian weight of powers or amplitudes, 0 to 1; coefficients with less are excluded.
+        wavelengths: Number of samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source. 0 for a
+            spectrum, whose wavelengths the caller chooses.
+        subdivisions: For ``"replicas"``, number of samples of the interference factor per sample of the patch's factor.
         bandwidth_um: Samples per unit of 1/λ that a direction requires, as (a, b, c) of a·rate + b·|w| + c. The rate is
             |(u, v)|; for a source it is stretched along the foreshortening, for replicas it is |(u Lx, v Ly)|.
-        adaptive: Whether directions of less than the largest bandwidth use fewer samples.
+        adaptive: Whether directions with less than the largest bandwidth use fewer samples.
         rings_per_octave: Rings per octave of the polar table that replaces the integral over λ; 0 samples wavelengths.
         azimuths_per_width: Azimuth samples of that table per standard deviation of the spectrum's blur.
         w_basis_size: Number of functions of w that the table's colours share, a multiple of 4; 0 selects it by the
@@ -85,17 +88,26 @@ class Plan:
         height_range_um: Largest height range that the numbers are valid for [µm].
         truncation: Predicted error of the truncated expansion.
         neighbourhood: Predicted error of the excluded neighbours.
-        quadrature: Predicted error of the integral over λ; 0 without one.
+        quadrature: Predicted error of the integral over λ; 0 for a spectrum.
         rounding: Predicted error of float32 arithmetic.
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
             directions, relative to their power. It is a property of the data and not part of ``error``.
         scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. It is a
             property of the surface and not part of ``error``.
-        multiply_adds: Predicted cost per direction, the mean over the sample.
+        multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
             bounds.
         validation_size: Number of validation directions.
-        table_multiply_adds: Predicted cost of making the table; 0 without one.
+        table_multiply_adds: Predicted cost of making the table [multiply-adds]; 0 without a table.
+
+    Examples:
+        >>> import dataclasses
+        >>> import warpdiff as wd
+        >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), tolerance=0.01)
+        >>> plan.error <= plan.tolerance
+        True
+        >>> dataclasses.replace(plan, wavelengths=64).wavelengths
+        64
     """
 
     method: str
@@ -162,7 +174,7 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Bounds of what diverges are of any size.
+            # Error bounds of series that diverge can be of any size.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.flag(self.is_measured, "is_measured")
         validation.count(self.validation_size, "validation_size", least=0)
@@ -178,32 +190,32 @@ class Plan:
 
     @property
     def error(self) -> float:
-        """Predicted error of the call: all sources but aliasing."""
+        """Predicted relative error of the call, the sum over all sources except aliasing."""
         return float(sum(self.predicted_errors.values()))
 
     @property
     def predicted_errors(self) -> dict[str, float]:
-        """The error from each source, by field; their sum is ``error``."""
+        """Predicted errors by the name of their source; their sum is ``error``."""
         return {name: getattr(self, name) for name in _ERRORS}
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether a pixel's mean is taken from levels of the table."""
+        """Whether mip levels of the table give the mean over a pixel."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property
     def microseconds(self) -> float:
-        """Estimated time of a direction [µs] on one core of a CPU."""
+        """Estimated time per direction [µs] on one CPU core."""
         return 1e6 * self.multiply_adds / (_LOOKED_UP_PER_SECOND if self.rings_per_octave else _SUMMED_PER_SECOND)
 
     @property
     def table_seconds(self) -> float:
-        """Estimated time of making the table [s] on one core of a CPU, once for all calls; 0 without one."""
+        """Estimated time to make the table [s] on one CPU core, once for all calls; 0 without a table."""
         return self.table_multiply_adds / _SUMMED_PER_SECOND
 
     @property
     def direction_range(self) -> DirectionRange:
-        """The range of directions and wavelengths that the numbers hold for."""
+        """Range of directions and wavelengths for which the plan is valid."""
         return DirectionRange(
             self.max_uv, self.max_order_rate, self.min_w, self.max_w, self.lambda_min_nm, self.lambda_max_nm
         )
@@ -218,7 +230,7 @@ class Plan:
 
     @property
     def verdict(self) -> str:
-        """Whether results by this plan can be trusted, in a sentence."""
+        """Sentence that states whether the plan meets its tolerance, and how its error was estimated."""
         if self.method == "direct":
             exact = "the direct sum is exact up to the integral over λ"
             return f"The plan meets its tolerance of {self.tolerance:g}: {exact}."
@@ -257,7 +269,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return the row on the integral over λ; a spectrum has none."""
+        """Return the row about the integral over λ; a spectrum has no such row."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
@@ -272,7 +284,14 @@ class Plan:
         return {"integral over λ": f"{self.wavelengths} wavelengths equally spaced in {spacing}{aside}"}
 
     def to_json(self) -> str:
-        """Return the plan as JSON, from which :meth:`from_json` makes an equal plan."""
+        """Return the plan as JSON, from which :meth:`from_json` makes an equal plan.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> wd.Plan.from_json(plan.to_json()) == plan
+            True
+        """
         return json.dumps({"format": _FORMAT} | asdict(self), indent=1)
 
     @classmethod
@@ -283,10 +302,16 @@ class Plan:
             text: JSON.
 
         Raises:
-            ValueError: The text is damaged, or is no plan of this version; the message names the field.
+            ValueError: The text is damaged, or is not a plan of this version; the message names the field.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> plan = wd.plan(wd.gratings.blazed(period_um=2.0, depth_um=0.2))
+            >>> wd.Plan.from_json(plan.to_json()).method == plan.method
+            True
         """
 
-        def with_tuples(values: dict[str, Any]) -> dict[str, Any]:
+        def with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
             return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
         if not isinstance(text, str):
@@ -311,10 +336,18 @@ class Plan:
         """Write the plan to a JSON file, from which :meth:`load` reads an equal plan.
 
         Args:
-            path: Target file, which ends in .json and is replaced if it exists.
+            path: File to write; its name ends in ``.json``. An existing file is replaced.
 
         Returns:
-            The path.
+            The path of the file.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> import warpdiff as wd
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> path = plan.save(pathlib.Path(tempfile.mkdtemp()) / "plan.json")
+            >>> wd.Plan.load(path) == plan
+            True
         """
         target = validation.path(path, "path")
         if target.suffix.lower() != ".json":
@@ -342,7 +375,7 @@ class Plan:
 
 
 def check_method(method: str, integration: str, coherence: Coherence) -> None:
-    """Refuse a method, or its integration by a table, that a coherence does not support."""
+    """Raise an error if a coherence does not support a method, or its integration by a table."""
     if _is_legal(method, integration, coherence):
         return
     why = f"cannot be used with {ref('kind', coherence.kind)}, whose coefficients add as amplitudes, not as powers"
@@ -354,7 +387,7 @@ def check_method(method: str, integration: str, coherence: Coherence) -> None:
 
 
 def check_footprint(method: str) -> None:
-    """Refuse means over footprints by a method that sums single directions."""
+    """Raise an error if a method cannot average over footprints."""
     if method == "direct":
         raise ArgumentValueError(
             f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single directions: "
@@ -372,7 +405,7 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether tables of colours can be made for an expansion and a coherence: of what adds as the rows do."""
+    """Whether colour tables exist for an expansion and a coherence: both must add powers, or both amplitudes."""
     return (
         coherence.kind != "replicas"
         and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers

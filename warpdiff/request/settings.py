@@ -1,8 +1,8 @@
 """The options of the public functions: one frozen dataclass per group, from which everything else is derived.
 
-A field states an option's type, range and unit; ``Attributes:`` states its meaning. Python keyword arguments
-(:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the viewer's controls and the fuzz
-tests follow from these fields, so that a new option is one field.
+A field states the type, range and unit of an option; ``Attributes:`` states its meaning. Everything else follows from
+the fields: keyword arguments (:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the
+viewer's controls and the fuzz tests.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Method = Literal[
 Integration = Literal["auto", "sampled", "table"]
 Energy = Literal["stam", "normalised", "normalized"]
 Layer = Literal["normal", "depth", "geometry"]
-# Limit: 256 × 256 samples converge whatever a picture can show.
+# Limit on the number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
 MOST_SAMPLES = 2**16
 
 
@@ -52,7 +52,7 @@ class CommonSettings(Checked):
             relative to the reflectance at normal incidence.
         material: Material of the surface instead of ``ior``; results are then relative to a perfect mirror. Pictures
             also take a mapping from the names of a mesh's geometries to materials.
-        strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it is a warning.
+        strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it causes a warning.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core. Results do not depend on it.
     """
@@ -78,7 +78,7 @@ class CommonSettings(Checked):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The given coherence, or the default."""
+        """The coherence of the settings, or the default."""
         return self.coherence or Coherence()
 
 
@@ -115,7 +115,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The coherence of the explicit plan, the given one, or the default."""
+        """The coherence of the explicit plan, or that of the settings, or the default."""
         return super().effective_coherence if self.plan is None else self.plan.coherence
 
 

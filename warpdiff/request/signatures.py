@@ -1,4 +1,4 @@
-"""Functions that take settings as keyword arguments: their signatures, their docstrings, and misspelt names."""
+"""Functions that accept settings as keyword arguments: signatures, docstrings, and errors for misspelt names."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentTypeError, did_you_mean, ref
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from warpdiff.core.options import Option
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
-# Limit: docstrings are as wide as the code.
+# Width of a line of a docstring [characters], as of the code.
 _WIDTH = 120
 
 
 def accepts(settings: type) -> Callable[[Function], Function]:
     """Make a function's ``**settings`` the fields of a class of settings.
 
-    Signature and docstring list the fields, so that ``help``, IPython and Sphinx show them; an unknown name raises an
-    error with the name that is nearest.
+    Signature and docstring list the fields, so that ``help``, IPython and Sphinx show them. An unknown name raises an
+    error that suggests the most similar name.
 
     Args:
         settings: One of the classes of :mod:`warpdiff.request.settings`.
@@ -34,33 +34,33 @@ def accepts(settings: type) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         options = describe(settings)
         signature = inspect.signature(function)
-        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
-        known = {*options, *(each.name for each in own)}
+        own = [parameter for parameter in signature.parameters.values() if parameter.kind is not parameter.VAR_KEYWORD]
+        known = {*options, *(parameter.name for parameter in own)}
         name = function.__qualname__.removesuffix(".__init__")
 
         @functools.wraps(function)
-        def call(*args: Any, **keywords: Any) -> Any:
+        def call(*args: object, **keywords: object) -> object:
             _check_names(name, keywords, known)
             return function(*args, **keywords)
 
         fields = [
-            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default)
-            for each in options.values()
-            if each.name not in signature.parameters
+            inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default)
+            for option in options.values()
+            if option.name not in signature.parameters
         ]
         call.__signature__ = signature.replace(parameters=[*own, *fields])  # type: ignore[attr-defined]
-        call.__doc__ = _with_options(function.__doc__ or "", [options[each.name] for each in fields])
+        call.__doc__ = _with_options(function.__doc__ or "", [options[field.name] for field in fields])
         return call  # type: ignore[return-value]
 
     return decorate
 
 
 def checked(function: Function) -> Function:
-    """Check the arguments of a function by its annotations, and misspelt names, before its body runs."""
+    """Make a function check its arguments by their annotations, and refuse misspelt names, before its body runs."""
     signature, name = inspect.signature(function), function.__qualname__
 
     @functools.wraps(function)
-    def call(*args: Any, **keywords: Any) -> Any:
+    def call(*args: object, **keywords: object) -> object:
         _check_names(name, keywords, set(signature.parameters))
         bound = signature.bind(*args, **keywords)
         options = describe(function)
@@ -72,7 +72,7 @@ def checked(function: Function) -> Function:
     return call  # type: ignore[return-value]
 
 
-def _check_names(function: str, keywords: dict[str, Any], known: set[str]) -> None:
+def _check_names(function: str, keywords: Mapping[str, object], known: set[str]) -> None:
     for keyword in keywords:
         if keyword not in known:
             raise ArgumentTypeError(
@@ -81,14 +81,14 @@ def _check_names(function: str, keywords: dict[str, Any], known: set[str]) -> No
 
 
 def _with_options(text: str, options: list[Option]) -> str:
-    """Add options to the ``Args:`` section of a docstring."""
+    """Add options to the ``Args:`` section of a docstring; without this section, append one."""
     text = inspect.cleandoc(text)
     entries = "\n".join(
         textwrap.fill(
-            f"{each.name}: {each.help} {_facts(each)}", _WIDTH - 4, initial_indent=" " * 4, subsequent_indent=" " * 8,
-            break_on_hyphens=False,
+            f"{option.name}: {option.help} {_facts(option)}", _WIDTH - 4, initial_indent=" " * 4,
+            subsequent_indent=" " * 8, break_on_hyphens=False,
         )
-        for each in options
+        for option in options
     )  # fmt: skip
     section = re.search(r"^Args:\n(?:    .*\n|\n(?=    ))*", text + "\n", re.MULTILINE)
     if section:
@@ -98,5 +98,5 @@ def _with_options(text: str, options: list[Option]) -> str:
 
 def _facts(option: Option) -> str:
     """Return range, choices, unit and default of an option, in brackets."""
-    facts = [each for each in (option.range, " | ".join(map(repr, option.choices)), option.unit) if each]
+    facts = list(filter(None, (option.range, " | ".join(map(repr, option.choices)), option.unit)))
     return f"({'; '.join([*facts, f'default {option.default!r}'])})"

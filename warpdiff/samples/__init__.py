@@ -1,5 +1,5 @@
 """Synthetic height fields and sample bodies, public as ``wd.gratings`` and ``wd.meshes``; no Warp.
 
-In: periods, depths, sizes, seeds.
+In: periods, depths, sizes, random seeds.
 Out: height fields and meshes.
 """

@@ -1,7 +1,12 @@
-"""Sample bodies with texture coordinates; their tangent t, along increasing u, is the x axis of the height field.
+"""Sample bodies with texture coordinates. Their tangent t, along increasing u, is the x axis of the height field.
 
-A grating that varies along x spreads its colours along t. ``tube`` and ``snake``: t runs around the body with
-``tangent="around"``, and from head to tail with ``"along"``. ``disc``: t runs radially outwards.
+A grating that varies along x diffracts along t. On ``tube`` and ``snake``, t runs around the body with
+``tangent="around"``, and from head to tail with ``"along"``. On ``disc``, t runs radially outwards.
+
+Examples:
+    >>> import warpdiff as wd
+    >>> len(wd.meshes.disc(segments=64, rings=4).faces)
+    512
 """
 
 from __future__ import annotations
@@ -29,24 +34,25 @@ def tube(
     *, radius: float = 0.12, length: float = 3.0, bend_deg: float = 50.0, waves: float = 1.5,
     tangent: Tangent = "around", segments_along: int = 256, segments_around: int = 96,
 ) -> trimesh.Trimesh:  # fmt: skip
-    """Make the body of a snake: a round tube that winds from side to side, with a blunt head and a tapering tail.
+    """Make the body of a snake: a round tube along a meander, with a blunt head and a tapering tail.
 
-    The tube lies in the xz plane about the origin, from the head at −x to the tail at +x, with its back towards +y. The
-    centre line is the meander of heading ``bend_deg`` · cos(2π ``waves`` s / ``length``). The seam of the texture runs
+    The tube is centred at the origin in the xz plane, from the head at −x to the tail at +x, with its back towards +y.
+    The heading of the centre line is ``bend_deg`` · cos(2π ``waves`` s / ``length``). The seam of the texture runs
     along the belly.
 
-    With ``tangent="around"`` t runs around the body, as on a snake, whose fingers are long along the body and follow
-    each other across it: the colours are bands along the body. Then (t, head to tail, outwards) is right-handed. With
-    ``"along"`` t runs from head to tail, and the bands lie across the body.
+    With ``tangent="around"`` t runs around the body. This is the orientation of the nano-fingers on a snake: the
+    colours form bands along the body, and (t, head to tail, outwards) is right-handed. With ``"along"`` t runs from
+    head to tail, and the bands run across the body.
 
     Args:
-        radius: Radius of the body at its thickest [mesh units], more than 0.
-        length: Length of the centre line [mesh units], at least 5 radii.
-        bend_deg: Greatest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120.
-        waves: Number of periods of the meander, at least 0.
+        radius: Largest radius of the body [mesh units], more than 0, default 0.12.
+        length: Length of the centre line [mesh units], at least 5 radii, default 3.
+        bend_deg: Largest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120, default
+            50.
+        waves: Number of periods of the meander, at least 0, default 1.5.
         tangent: Direction of t, ``"around"`` (default) or ``"along"`` the body.
-        segments_along: Number of rings of quadrilaterals from head to tail, at least 12.
-        segments_around: Number of quadrilaterals per ring, at least 3.
+        segments_along: Number of rings of quadrilaterals from head to tail, at least 12, default 256.
+        segments_around: Number of quadrilaterals per ring, at least 3, default 96.
 
     Returns:
         A mesh with texture coordinates and vertex normals, of 2 · (segments_along − 1) · segments_around faces. It is
@@ -54,6 +60,12 @@ def tube(
 
     Raises:
         ValueError: An argument is out of its range, or the bends are narrower than the body.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> tube = wd.meshes.tube(segments_along=12, segments_around=8)
+        >>> len(tube.faces)
+        176
     """
     check_meander(radius, length, bend_deg, waves, tangent)
     validation.count(segments_along, "segments_along", least=12)
@@ -72,7 +84,7 @@ def tube(
             f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
-    # Rings: half ellipses for head and tail, spaced evenly in the ellipse's angle, which resolves their tips.
+    # Head and tail are half ellipses; equal steps in the angle of the ellipse resolve their tips.
     head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
     at_head, at_tail = segments_along // 8, segments_along // 3
     head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
@@ -88,14 +100,14 @@ def tube(
     forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
     sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
 
-    # Around the body from the belly, u growing so that (around, forward, outward) is right-handed.
+    # u increases around the body, starting at the belly, so that (around, forward, outward) is right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
-    phi[-1] = phi[0]  # the doubled vertices are at the very same position
+    phi[-1] = phi[0]  # both vertices at the seam have exactly the same position
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
-    # n ∝ ds/dψ · stretch · out − dr/dψ · forward in the ellipse's angle ψ, finite at the tips; d(heading)/ds turns
-    # `forward` away from `sideways`, and what lies inside a bend is shorter than the centre line.
+    # n ∝ ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse, is finite at the tips. The factor
+    # `stretch` is the length of the surface relative to the centre line, which is less than 1 inside a bend.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -106,11 +118,11 @@ def tube(
 
     ring = s / length
     around, along = np.meshgrid(turn, ring)
-    # A tip's vertices lie half a step on, over the middle of their triangles.
+    # The texture coordinates of the vertices at a tip are at the middle of their triangles.
     around[[0, -1]] += 0.5 / segments_around
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=2)
     faces = _alternating_faces(len(s), segments_around + 1)
-    # The rings at the two tips have no radius: their quadrilaterals are triangles.
+    # The rings at the two tips have zero radius, so that their quadrilaterals are triangles.
     columns = segments_around + 1
     last = (len(s) - 1) * columns
     i = np.arange(segments_around)
@@ -124,16 +136,17 @@ def tube(
 def disc(
     *, inner_radius: float = 0.4, outer_radius: float = 1.0, segments: int = 512, rings: int = 24
 ) -> trimesh.Trimesh:
-    """Make an optical disc: a flat ring in the xy plane about the origin that faces +z.
+    """Make an optical disc: a flat ring in the xy plane, centred at the origin, that faces +z.
 
-    t runs radially outwards, as the tracks run around the disc. The texture's u grows from the inner to the outer rim,
-    and v counter-clockwise as seen from +z. The seam is on the +x axis.
+    t runs radially outwards, across the tracks. The texture coordinate u increases from the inner to the outer rim, and
+    v increases counter-clockwise as viewed from +z. The seam is on the +x axis.
 
     Args:
-        inner_radius: Radius of the hole [mesh units], at least 0 (no hole) and less than ``outer_radius``.
-        outer_radius: Radius of the rim [mesh units], more than 0.
-        segments: Number of quadrilaterals around, at least 3.
-        rings: Number of quadrilaterals from rim to rim, at least 1; with several, t is radial within each.
+        inner_radius: Radius of the hole [mesh units], at least 0 (no hole), less than ``outer_radius``, default 0.4.
+        outer_radius: Radius of the rim [mesh units], more than 0, default 1.
+        segments: Number of quadrilaterals around the disc, at least 3, default 512.
+        rings: Number of quadrilaterals from the inner to the outer rim, at least 1, default 24. More of them make t
+            more exactly radial.
 
     Returns:
         A mesh with texture coordinates and vertex normals, of 2 · segments · rings faces; without a hole it has
@@ -141,6 +154,12 @@ def disc(
 
     Raises:
         ValueError: An argument is out of its range.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> disc = wd.meshes.disc(inner_radius=0.2, segments=64, rings=4)
+        >>> disc.bounds[1].round(3)
+        array([1., 1., 0.])
     """
     validation.number(inner_radius, "inner_radius", least=0.0)
     validation.positive(outer_radius, "outer_radius")
@@ -160,7 +179,8 @@ def disc(
     v, u = np.meshgrid(turn, share, indexing="ij")
     faces = _alternating_faces(segments + 1, rings + 1)
     if inner_radius == 0.0:
-        # Faces with two corners in the middle have no area; the others' middle is half a step on, as at a tube's tip.
+        # Faces with two corners at the centre have no area and are removed. The texture coordinates of the centre are
+        # at the middle of the remaining triangles.
         v[:, 0] += 0.5 / segments
         column = np.arange(segments) * (rings + 1)
         fan = np.stack([column, column + 1, column + rings + 2], axis=1)
@@ -172,8 +192,8 @@ def disc(
 def _meander(
     s: NDArray[np.float64], bend: float, frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points (k, 3), headings (k,) and curvatures (k,) at the arc lengths ``s`` of the curve of a tube's centre."""
-    # The midpoint rule, far finer than the rings.
+    """Points (k, 3), headings (k,) and curvatures (k,) of the centre line of a tube at the arc lengths ``s``."""
+    # The curve is integrated by the midpoint rule with steps much finer than the rings.
     parts = 16
     step = np.diff(s)[:, None] / parts
     fine = bend * np.cos(frequency * (s[:-1, None] + step * (np.arange(parts) + 0.5)))
@@ -185,9 +205,9 @@ def _meander(
 
 
 def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Two triangles a cell of a grid of vertices, whose (column, row) axes are right-handed.
+    """Return two triangles per cell of a grid of vertices whose (column, row) axes are right-handed.
 
-    The diagonals alternate from cell to cell, so that sums over a vertex's faces favour no side.
+    The diagonals alternate from cell to cell, so that sums over the faces of a vertex are not biased to one side.
     """
     row, column = np.indices((rows - 1, columns - 1))
     is_even = np.repeat((row + column) % 2 == 0, 2)[:, None]
@@ -197,7 +217,7 @@ def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
 def _mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
 ) -> trimesh.Trimesh:
-    """A mesh of grids of vertices, (rows, columns, 3) each; process=False keeps the seam."""
+    """Return a mesh from grids of vertices, normals and texture coordinates; ``process=False`` preserves the seam."""
     import trimesh
 
     return trimesh.Trimesh(

@@ -1,9 +1,9 @@
 """Sample body of a snake: overlapping scales, with the pattern of a corn snake (*Pantherophis guttatus*).
 
-Everything is laid out on the unrolled skin, in lattice coordinates (x, τ): x counts rows of scales across the back,
-from one edge of the belly to the other, τ counts scales from the neck to the tail. A scale is the rhombus of half
-diagonals (1, ½) about its middle; a and b, from 0 to 1, run from its front corner along its two front edges. Neighbours
-in x lie half a scale on. The half rhombi at the edges of the belly are the ends of the ventral scutes.
+The shape is defined on the unrolled skin, in lattice coordinates (x, τ). x counts rows of scales across the back, from
+one edge of the belly to the other. τ counts scales from the neck to the tail. A scale is a rhombus with half diagonals
+(1, ½). Its coordinates a and b, 0 to 1, increase along the two front edges from the front corner. Neighbouring rows are
+shifted by half a scale. The half rhombi at the edges of the belly are the ends of the ventral scutes.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Outlines. Of the head by its length, of the body by the rest, in radii of the body: half width, height above the
-# centre line, depth below it, and the exponent of the cross section (2 is an ellipse, more is squarer).
+# Length of the head, and limit on the length of a snake [radii of the body].
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
+# Cross sections of the head (position as a share of its length) and of the body (share of the rest), chosen by
+# eye: position, half width, height above the centre line, depth below it [radii], and exponent of the
+# superellipse (2 is an ellipse, more is squarer).
 _HEAD = np.array([
     [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
     [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
@@ -36,8 +38,8 @@ _BODY = np.array([
     [0.40, 1.00, 0.96, 0.72, 2.4], [0.60, 0.98, 0.94, 0.70, 2.4], [0.78, 0.72, 0.68, 0.54, 2.3],
     [0.90, 0.38, 0.36, 0.30, 2.1], [1.00, 0.06, 0.06, 0.06, 2.0],
 ])  # fmt: skip
-# On the head, (share of its length, share of the way around from the middle of the back): middles of the shields of one
-# side, from the rostral to the gulars, as they are on colubrids; the eyes; the slit of the mouth.
+# Marks on the head at (share of its length, share of the circumference from the middle of the back): centres of the
+# shields of one side, from the rostral to the gulars, in the arrangement of colubrids.
 _SHIELDS = np.array(
     [(0.0, 0.0), (0.10, 0.05), (0.23, 0.055), (0.42, 0.0), (0.43, 0.095), (0.66, 0.06), (0.88, 0.0), (0.90, 0.06)]
     + [(0.07, 0.15), (0.15, 0.16), (0.25, 0.165), (0.33, 0.15), (0.54, 0.155), (0.64, 0.17), (0.77, 0.16), (0.89, 0.13)]
@@ -46,36 +48,44 @@ _SHIELDS = np.array(
     + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
     + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
 )
+# Centre of the eye, its radius [radii of the body], and the circumferential position of the mouth.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
-_HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])  # what these shares are [radii]
-_SNOUT, _TIP = 0.4, 0.3  # lengths of the rounded ends [radii]
-_BELLY = 0.15  # share of the way around from the middle of the belly to its edge
+# Lengths of a share of 1 in both directions [radii of the body], which convert shares on the head to distances.
+_HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])
+# Lengths of the rounded ends of head and tail [radii of the body].
+_SNOUT, _TIP = 0.4, 0.3
+# Share of the circumference from the middle of the belly to its edge.
+_BELLY = 0.15
 
-# Scales, in lengths of a scale: how far the free rear end stands off and reaches over the next ones, the dome on top;
-# how far edges are bowed to the rear and, in rows, to the sides; the scales over which all that comes and goes.
+# Relief of a scale [lengths of a scale], chosen by eye: rise of its free rear end, its overlap over the next scales,
+# and the height of its dome.
 _STAND_OFF, _OVERHANG, _DOME = 0.10, 0.10, 0.035
+# Bow of the edges of a scale to the rear [lengths of a scale] and to the sides [rows].
 _BOW, _BOW_SIDEWAYS = 0.07, 0.10
+# Distance over which the relief fades in at the neck and out at the tail [scales].
 _FADE = 2.0
-_RISER = 0.05  # of a scale in the texture
+# Width of the strip under a free edge in the texture [scales].
+_RISER = 0.05
 
-# sRGB.
+# Colours of the pattern in sRGB, chosen by eye.
 _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
-# Of the texture: the head's length in scales, the tip's, and texels a scale or row.
+# Lengths of the head and of the tip of the tail in the texture [scales].
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
+# Number of texels of the texture per scale or row; the size of the texture is proportional to its square.
 _TEXELS = 8
 
 
 class _Patch(NamedTuple):
-    """Vertices on the skin; positions and texture part where scales overlap.
+    """Vertices and faces on the skin. Texture coordinates differ from positions where scales overlap.
 
     Attributes:
-        x: Place around the body [rows], shape (k,).
-        tau: Place along it [scales], shape (k,).
-        shift: How far the vertex is moved to the rear [scales], shape (k,).
-        rise: How far it stands off [scales], shape (k,).
-        u, v: ``x`` and ``tau`` in the texture, shape (k,).
-        wall: Whether the vertex belongs to what lies under a free edge, shape (k,).
+        x: Position around the body [rows], shape (k,).
+        tau: Position along the body [scales], shape (k,).
+        shift: Displacement of the vertex to the rear [scales], shape (k,).
+        rise: Displacement of the vertex outwards [scales], shape (k,).
+        u, v: Positions ``x`` and ``tau`` in the texture, shape (k,).
+        wall: Whether the vertex belongs to the strip under a free edge, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
 
@@ -96,25 +106,26 @@ def snake(
 ) -> trimesh.Trimesh:  # fmt: skip
     """Make a corn snake on the plane y = 0: overlapping scales, shields on its head, saddles on its back.
 
-    The snake lies about the y axis, from the head at −x to the tail at +x, with its back towards +y. The centre line is
-    the meander of heading ``bend_deg`` · cos(2π ``waves`` s), s from 0 to 1 behind the head. Every scale overlaps the
-    next ones towards the tail, with a free edge at which the surface and its normals step. The surface is closed. The
-    texture is the pattern of *Pantherophis guttatus*, which follows the scales; its seam runs along the belly.
+    The snake is centred at the y axis, from the head at −x to the tail at +x, with its back towards +y. The heading of
+    the centre line is ``bend_deg`` · cos(2π ``waves`` s), with s from 0 to 1 behind the head. Every scale overlaps the
+    next ones towards the tail, and the surface and its normals step at its free edge. The surface is closed. The
+    texture is the pattern of *Pantherophis guttatus* and follows the scales. Its seam runs along the belly.
 
-    With ``tangent="around"`` t runs around the body, across the nano-fingers, which are long along the body; (t, head
-    to tail, outwards) is right-handed. With ``"along"`` t runs from head to tail. Both are as for ``tube``.
+    With ``tangent="around"`` t runs around the body, across the nano-fingers; (t, head to tail, outwards) is
+    right-handed. With ``"along"`` t runs from head to tail. Both are the same as for ``tube``.
 
     Args:
-        radius: Half the width of the body at its thickest [mesh units], more than 0.
-        length: Length of the centre line [mesh units], 16 to 1000 radii.
-        bend_deg: Greatest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120.
-        waves: Number of periods of the meander, at least 0.
+        radius: Half of the largest width of the body [mesh units], more than 0, default 0.12.
+        length: Length of the centre line [mesh units], 16 to 1000 radii, default 4.6.
+        bend_deg: Largest angle between the centre line and the x axis [degrees], 0 (a straight body) to 120, default
+            95.
+        waves: Number of periods of the meander, at least 0, default 1.75.
         tangent: Direction of t, ``"around"`` (default) or ``"along"`` the body.
-        scale_rows: Number of rows of scales across the back, odd and at least 5; a corn snake has 27.
-        ventrals: Number of scutes of the belly from neck to tail, and of scales in a row, at least 8.
-        segments: Number of parts of a scale's edge, at least 2; a scale has 2 · segments² faces, its free edge
-            4 · segments.
-        seed: Seed of the pattern, at least 0.
+        scale_rows: Number of rows of scales across the back, odd and at least 5, default 27 as on a corn snake.
+        ventrals: Number of scutes of the belly from neck to tail, and of scales in a row, at least 8, default 130.
+        segments: Number of parts of an edge of a scale, at least 2, default 4. A scale has 2 · segments² faces, and its
+            free edge has 4 · segments.
+        seed: Seed of the pattern, at least 0, default 0.
 
     Returns:
         A mesh with texture coordinates, vertex normals and a texture, of about 200,000 faces by default. Vertices are
@@ -122,22 +133,28 @@ def snake(
 
     Raises:
         ValueError: An argument is out of its range, or the body would intersect itself.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> snake = wd.meshes.snake(scale_rows=9, ventrals=20, segments=2)
+        >>> len(snake.faces)
+        5372
     """
     check_meander(radius, length, bend_deg, waves, tangent)
     if validation.count(scale_rows, "scale_rows", least=5) % 2 == 0:
         raise ArgumentValueError(
-            f"{ref('scale_rows')} must be odd (a row on the spine and as many on either side), got {scale_rows}"
+            f"{ref('scale_rows')} must be odd (a row on the spine and equal numbers on both sides), got {scale_rows}"
         )
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # As measured, while it is made; the belly is as good as two rows.
+    # Bytes at the peak, as measured; the belly counts as two rows.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # Outlines of the head and of the body are one spline.
+    # One spline through the cross sections of head and body limits the length.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -148,7 +165,7 @@ def snake(
     patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])
     vertices = skin.points(patch)
     vertices[:, 1] -= vertices[:, 1].min()
-    # Where a free edge begins it has no height.
+    # Faces without area, at the ends of free edges, are removed.
     edges = vertices[np.roll(patch.faces, -1, axis=1)] - vertices[patch.faces]
     twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     patch = patch._replace(faces=patch.faces[twice_area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)])
@@ -156,13 +173,13 @@ def snake(
     along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
     colours = _pigment(skin, np.random.default_rng(seed))
-    # Rows of texels go down from v = 1.
+    # The first row of an image is at v = 1.
     colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
     return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
 
 
 def check_meander(radius: float, length: float, bend_deg: float, waves: float, tangent: str) -> None:
-    """Check the arguments that bodies of snakes have in common."""
+    """Check the arguments that ``tube`` and ``snake`` share."""
     validation.positive(radius, "radius")
     validation.positive(length, "length")
     validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
@@ -171,13 +188,13 @@ def check_meander(radius: float, length: float, bend_deg: float, waves: float, t
 
 
 class _Skin:
-    """Where points of the unrolled skin are in space.
+    """Map from the unrolled skin to positions in space.
 
     Attributes:
-        radius: Half the width of the body.
-        breadth: Of the back, in rows: x of its far edge.
-        belly: Half the breadth of the belly, in rows.
-        count: Scales from the neck to the end of the tail, where τ is ``count``.
+        radius: Half of the largest width of the body [mesh units].
+        breadth: Width of the back [rows], the x of its far edge.
+        belly: Half of the width of the belly [rows].
+        count: Number of scales from the neck to the end of the tail, the τ at its end.
     """
 
     def __init__(self, radius: float, length: float, bend: float, waves: float, breadth: int, count: int) -> None:
@@ -190,7 +207,7 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # The head is stiff: bends begin behind it. All of the belly touches the ground.
+        # Bends start behind the head. The whole belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(
@@ -214,7 +231,7 @@ class _Skin:
                 f"{ref('radius')}"
             )
 
-        # Scales are as long as the body is thick there, but for the thinnest part of the tail.
+        # The length of a scale is proportional to the local width of the body, except at the thin end of the tail.
         density = np.where((s < head) | (s > last), 0.0, 1.0 / np.maximum(width, 0.25 * radius))
         tau = _integral(s, density)
         tau *= count / tau[-1]
@@ -223,7 +240,7 @@ class _Skin:
         self._scale = np.gradient(s, self._tau)
 
     def outline(self, s: Floats) -> Floats:
-        """Half width, height, depth and exponent at ``s``, shape (k, 4); closed at the ends."""
+        """Half width, height, depth and exponent of the cross section at ``s``, shape (k, 4); 0 at both ends."""
         outline = _hermite(s, self._stations, self._outline)
         snout = np.clip(1.0 - s / (_SNOUT * self.radius), 0.0, 1.0)
         tip = np.clip((s - self._length) / (_TIP * self.radius) + 1.0, 0.0, 1.0)
@@ -231,15 +248,15 @@ class _Skin:
         return outline
 
     def turn(self, x: Floats) -> Floats:
-        """Share of the way around from the middle of the belly."""
+        """Share of the circumference from the middle of the belly."""
         return (x + self.belly) / (self.breadth + 2.0 * self.belly)
 
     def points(self, patch: _Patch) -> Floats:
         """Positions in space, shape (k, 3)."""
         s = np.interp(patch.tau + patch.shift, self._tau, self._s)
-        # Rises are away from the centre line, which is close enough to the normal.
+        # A rise is directed away from the centre line, which is nearly the direction of the normal.
         width, height, depth, power = self.outline(s).T
-        # Both sides of the seam at the very same place.
+        # The modulus gives both sides of the seam exactly the same position.
         phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
         c, d = np.cos(phi), np.sin(phi)
         square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
@@ -256,12 +273,12 @@ class _Skin:
 
 
 def _integral(s: Floats, values: Floats) -> Floats:
-    """The integral of ``values`` from the first of the places ``s`` to each, by the trapezoidal rule."""
+    """Cumulative integral of ``values`` over ``s`` by the trapezoidal rule, starting at 0."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(s))])
 
 
 def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
-    """Cubic interpolation of the rows of ``values`` with the slopes of neighbouring stations."""
+    """Interpolate the rows of ``values`` by cubic Hermite polynomials, with slopes from neighbouring stations."""
     slopes = np.gradient(values, stations, axis=0)
     i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
     step = (stations[i + 1] - stations[i])[:, None]
@@ -275,21 +292,21 @@ def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
 
 
 def _smoothstep(t: Floats) -> Floats:
-    """From 0 to 1 as t does, level at both ends."""
+    """Smooth step from 0 to 1 for t from 0 to 1, with zero slope at both ends."""
     t = np.clip(t, 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 def _fade(skin: _Skin, tau: Floats) -> Floats:
-    """How much of a scale's shape there is: none at the neck and at the end of the tail."""
+    """Factor of the relief of scales: 0 at the neck and at the end of the tail, otherwise 1."""
     return _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
 
 
 def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """The x, τ, shift and rise of the points (a, b) of scales about (x, tau), broadcast.
+    """Return x, τ, shift and rise of the points (a, b) of scales with the centres (x, tau), broadcast.
 
-    Shift and rise are linear from the front corner to the rear one, so that steps have the same height all along free
-    edges and what meets at a corner fits.
+    Shift and rise are linear from the front corner to the rear corner. Steps therefore have the same height along free
+    edges, and neighbouring scales meet at their corners.
     """
     rear = (a + b) / 2.0
     x, tau = np.asarray(x) + a - b, np.asarray(tau) - 0.5 + rear
@@ -305,7 +322,7 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
 def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
-    """Like patches (m, k) of vertices with the ``faces`` of one."""
+    """Return m equal patches of k vertices, all with the same ``faces``, as one patch."""
     m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
@@ -314,14 +331,14 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """Join patches to one."""
+    """Join patches into one."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
 
 
 def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
-    """Two triangles a cell of a grid whose (column, row) axes are right-handed; ``rising`` diagonals join a and d."""
+    """Return two triangles per cell of a right-handed (column, row) grid; ``rising`` diagonals connect a and d."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).ravel()
     b, c, d = a + 1, a + columns, a + columns + 1
@@ -330,13 +347,13 @@ def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.i
 
 
 def _scales(skin: _Skin, n: int) -> list[_Patch]:
-    """The rhombic scales with their free edges, cut at the neck and the end of the tail and at the belly."""
+    """Return the rhombic scales with their free edges, cut at the neck, at the end of the tail and at the belly."""
     step = np.arange(n + 1) / n
     b, a = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     odd, even = np.arange(1, skin.breadth, 2), np.arange(2, skin.breadth, 2)
     middles = np.arange(skin.count) + 0.5
-    # Rows, places along them, the part of the rhombus that exists, and its free edges. Where a scale is
-    # cut the diagonals of its cells lie along the cut.
+    # Entries: rows, positions along them, mask of the rhombus, its free edges, and the direction of diagonals. The
+    # diagonals of a cut scale are parallel to the cut.
     kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
         (odd, np.arange(1, skin.count), a < 2.0, (True, True), False), (even, middles, a < 2.0, (True, True), False),
         (odd, 0, a + b > 1.0 - 1e-9, (True, True), False), (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
@@ -348,7 +365,7 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
         corners = _plate(skin, x, tau, a, b)
         faces = grid_faces(n + 1, n + 1, rising=rising)
         patches.append(_patches(corners, corners[:2], faces[np.all(is_inside[faces], axis=1)]))
-        # From a free edge down to the front edge of the scale beneath, whose texture continues this one's.
+        # A wall leads from a free edge down to the front edge of the scale below, whose texture it continues.
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         if free[0]:
             top, low = _plate(skin, x, tau, ones, step), _plate(skin, x + 1, tau + 0.5, zeros, step)
@@ -360,20 +377,20 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
-    """Strips between edges, ``u`` rows and half as many scales wide in the texture."""
+    """Return strips between two edges; in the texture they are ``u`` rows and |u|/2 scales wide."""
     corners = tuple(np.concatenate(pair, axis=1) for pair in zip(top, low, strict=True))
     texture = (np.concatenate([top[0], top[0] + u], axis=1), np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1))
     return _patches(corners, texture, faces, wall=True)
 
 
 def _belly_columns(skin: _Skin, n: int) -> list[Floats]:
-    """The x of the vertices across both halves of the belly, from the seam and to it."""
+    """Return the x of the vertices across both halves of the belly, on both sides of the seam."""
     part = np.arange(n + 1) / n * skin.belly
     return [part - skin.belly, skin.breadth + part]
 
 
 def _scutes(skin: _Skin, n: int) -> list[_Patch]:
-    """The ventral scutes, which overlap like the scales."""
+    """Return the ventral scutes, which overlap like the scales."""
     patches = []
     step = np.arange(n + 1) / n
     tau0 = np.arange(skin.count)[:, None] + 0.5
@@ -383,7 +400,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         patches.append(_patches((x[None], *rest), (x[None], rest[0]), grid_faces(n + 1, n + 1)))
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
-        # In two steps, for a scale's corner lies halfway up.
+        # The wall has two steps, because the corner of a scale is halfway up.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
         patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
@@ -391,25 +408,25 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """The x of the vertices all around, where scales end."""
+    """Return the x of all vertices around the body at the ends of the scales."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
 
 
 def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
-    """Rings of vertices, the first or the last of which is a point."""
+    """Return a patch of rings of vertices, of which the first or the last is a point."""
     rows, columns = len(tau), len(x)
     u, v = np.tile(x, rows), np.repeat(tau, columns)
     faces = grid_faces(columns, rows, rising=not first)
     at = 0 if first else (rows - 1) * columns
-    # A tip's vertices lie half a step on, over the middle of their triangles.
+    # The texture coordinates of the vertices at a tip are at the middle of their triangles.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
     return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    """The head, twice as fine as the ring of scales at which it ends."""
+    """Return the head, with twice the vertices of the ring of scales at which it ends."""
     coarse = _ring(skin, n)
     x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
     q = np.linspace(0.0, 1.0, 14 * n + 1)
@@ -419,7 +436,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
     rise += 0.07 * np.clip(1.0 - eye**2, 0.0, None)
     rise *= (_smoothstep(f / 0.06) * _smoothstep((1.0 - f) / 0.1))[:, None]
     patch = _cap(x, (f - 1.0) * _HEAD_SCALES, rise * (_HEAD_SCALES / _HEAD_LENGTH), first=True)
-    # The last strip leads from all columns to every other one.
+    # The last strip connects all columns to every second column.
     columns = len(x)
     last = (len(f) - 2) * columns + np.arange(0, columns - 1, 2)
     c = last + columns
@@ -430,16 +447,16 @@ def _head(skin: _Skin, n: int) -> _Patch:
 
 
 def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
-    """Distances on the head from the borders of its shields, from the eyes in their radii, and from the mouth [radii].
+    """Return distances on the head: from borders of shields [radii], from eyes [eye radii], from the mouth [radii].
 
     Args:
-        f: Share of the way from the snout to the neck.
-        across: Share of the way around from the middle of the back, −0.5 to 0.5.
+        f: Position from the snout to the neck, 0 to 1.
+        across: Share of the circumference from the middle of the back, −0.5 to 0.5.
     """
     f, across = np.broadcast_arrays(f, np.abs(across))
     nearest = np.full(f.shape, np.inf)
     second = nearest.copy()
-    # A shield in the middle has no twin.
+    # Shields at the middle have no mirror image.
     for seed in (*_SHIELDS, *(_SHIELDS * [1.0, -1.0])[_SHIELDS[:, 1] > 0.0]):
         away = np.hypot((f - seed[0]) * _HEAD_SPREAD[0], (across - seed[1]) * _HEAD_SPREAD[1])
         np.minimum(second, np.maximum(nearest, away), out=second)
@@ -450,7 +467,7 @@ def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _tip(skin: _Skin, n: int) -> _Patch:
-    """The end of the tail, a smooth cone."""
+    """Return the end of the tail, a smooth cone."""
     x = _ring(skin, n)
     q = np.linspace(0.0, 1.0, n + 1)
     tau = skin.count + (1.0 - (1.0 - q) ** 2) * _TIP_SCALES
@@ -458,7 +475,7 @@ def _tip(skin: _Skin, n: int) -> _Patch:
 
 
 def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
-    """Area-weighted means over the faces of each vertex, and across the seam, the neck and the end of the tail."""
+    """Return area-weighted normals of vertices; doubled vertices at the seam, neck and tail get the same normal."""
     corners = vertices[patch.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     index = patch.faces.ravel()
@@ -473,7 +490,7 @@ def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
 
 
 def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
-    """The skin's texture in sRGB, rows from the snout to the tail, columns around; shape (h, w, 3)."""
+    """Return the texture of the skin in sRGB, rows from snout to tail, columns around the body; shape (h, w, 3)."""
     height = round(_TEXELS * (_HEAD_SCALES + skin.count + _TIP_SCALES))
     width = round(_TEXELS * (skin.breadth + 2.0 * skin.belly))
     around = (np.arange(width) + 0.5) / width
@@ -485,15 +502,15 @@ def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
 
 
 def _mix(colour: Floats, other: tuple[float, float, float], share: Floats) -> Floats:
-    """From one sRGB colour to another."""
+    """Blend from one sRGB colour to another."""
     return colour + share[..., None] * (np.array(other) - colour)
 
 
 def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator) -> Floats:
-    """Scales at (tau, x) in sRGB: saddles on the back, smaller blotches on the flanks, a checkered belly."""
+    """Return colours of scales at (x, tau) in sRGB: saddles on the back, blotches on the flanks, a checkered belly."""
     x, tau = np.broadcast_arrays(x, tau)
     belly = (x < 0.0) | (x > skin.breadth)
-    # Undo the bows of the edges, by iteration, to find each texel's scale and its place there.
+    # A fixed-point iteration inverts the bow of the edges and finds the scale of a texel and its position on it.
     fade = _fade(skin, tau)
     x0, tau0 = x, tau
     for _ in range(4):
@@ -503,20 +520,20 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     a, b = tau0 + x0 / 2.0, tau0 - x0 / 2.0
     cell_a, cell_b = np.floor(a).astype(np.int64), np.floor(b).astype(np.int64)
     a, b = a - cell_a, b - cell_b
-    # Mostly one colour a scale: a pattern's outline follows the scales'.
+    # The colour of a scale is nearly constant, so that the outline of the pattern follows the scales.
     share = 0.65
     across = np.abs((1.0 - share) * x0 + share * (cell_a - cell_b) - skin.breadth / 2.0) * (28.0 / skin.breadth)
     along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
 
     blotches = max(2, round(skin.count / 6.2))
-    # The first one begins on the neck.
+    # The offset places the first blotch on the neck.
     phase = along / skin.count * blotches + 0.4
     period = skin.count / blotches
 
     def blotch(
         at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float
     ) -> Floats:
-        """1 at the edge of a blotch, less inside."""
+        """Distance from the centre of the nearest blotch, 1 at its edge."""
         index = np.floor(at - offset).astype(np.int64)
         jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, index + 1]
         back = (at - offset - index - 0.5) * period - jitter[0]
@@ -539,10 +556,10 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     red = np.array(_SADDLE) * (1.0 + 0.10 * tone[..., None])
     inside = _smoothstep((0.90 - level) / 0.10)
     colour = colour + inside[..., None] * (red - colour)
-    # The front of a scale lies in the others' shade, and skin shows dark between them.
+    # The front of a scale is darkened like a shadow, and the skin between scales is dark.
     edge = np.minimum(np.minimum(1.0 - a, 1.0 - b), np.minimum(a, b))
     colour = colour * (0.72 + 0.28 * _smoothstep((a + b) / 0.9) * _smoothstep(edge / 0.10 + 0.35))[..., None]
-    # Scutes: cream with black squares, more of them towards their ends.
+    # Scutes are cream with random black squares.
     scute = np.floor(tau).astype(np.int64)
     column = np.floor((x % (skin.breadth + 2.0 * skin.belly)) / 3.0).astype(np.int64)
     black = rng.random((skin.count + 2, 64))[scute // 2 + column % 2, column % 64] < 0.5
@@ -552,11 +569,12 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
 
 
 def _head_pigment(f: Floats, across: Floats) -> Floats:
-    """The head in sRGB: a spearhead that points between the eyes, a bar before them, a stripe from eye to jaw."""
+    """Return colours of the head in sRGB: a spearhead between the eyes, a bar before them, a stripe from eye to jaw."""
     border, eye, mouth = _head_marks(f, across)
     f, across = np.broadcast_arrays(f, np.abs(across))
 
-    # Two prongs from the first saddle, which meet between the eyes; all as distances from the edge.
+    # Signed distances from the edges of the marks: two prongs from the first saddle, which meet between the eyes, a
+    # bar, a stripe, and the neck.
     prong = 0.095 * np.clip((f - 0.36) / 0.40, 0.0, 1.0) ** 0.8
     stripe = _EYE[1] + 0.14 * (f - _EYE[0])
     red = np.minimum.reduce(
@@ -580,7 +598,7 @@ def _head_pigment(f: Floats, across: Floats) -> Floats:
 
 
 def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floats, colours: Floats) -> trimesh.Trimesh:
-    """A mesh of the vertices in use with a texture; process=False keeps the seam and the free edges."""
+    """Return a textured mesh of the used vertices; ``process=False`` preserves the seam and the free edges."""
     import PIL.Image
     import trimesh
 

@@ -1,7 +1,12 @@
 """Synthetic height fields, each exactly one period of a periodic surface.
 
-One-dimensional gratings vary along x and have one row. Depths and heights are peak to valley. Random gratings have a
-``seed``.
+One-dimensional gratings vary along x and have one row. Depths and heights are peak to valley. Random gratings have the
+argument ``seed``.
+
+Examples:
+    >>> import warpdiff as wd
+    >>> wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1).size_um[1]
+    2.0
 """
 
 from __future__ import annotations
@@ -19,8 +24,9 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Largest default pitch [µm], a tenth of the shortest visible wavelength. A doubled pitch aliases for steep directions.
 _COARSEST_PITCH_UM = 0.04
-# Of a finger, in ridges: what reaches further is below 1e-40 of what does not.
+# Distance from a ridge [ridges] at which its contribution is truncated; it is below 1e-40 there.
 _RIDGE_REACH = 4.0
 
 
@@ -38,6 +44,11 @@ def sinusoidal(period_um: float, depth_um: float, *, samples: int | None = None)
 
     Raises:
         ValueError: An argument is out of its range.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1)
+        HeightField(1 × 64 samples (y × x), pitch 0.03125 × 0.03125 µm, size 0.03125 × 2 µm, height range 0.1 µm)
     """
     period, depth, n = _one_dimensional(period_um, depth_um, samples)
     return HeightField.of_known_scale(0.5 * depth * np.cos(2.0 * np.pi * np.arange(n) / n)[None, :], period / n)
@@ -58,6 +69,11 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
 
     Raises:
         ValueError: An argument is out of its range, or the duty rounds to no sample or to all of them.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.lamellar(period_um=2.0, depth_um=0.1, duty=0.25, samples=8).heights_um
+        array([[0.1, 0.1, 0. , 0. , 0. , 0. , 0. , 0. ]])
     """
     period, depth, n = _one_dimensional(period_um, depth_um, samples)
     duty = validation.number(duty, "duty", above=0.0, most=1.0)
@@ -71,12 +87,12 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
 
 
 def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> HeightField:
-    """Make a sawtooth grating that rises with x, h_j = depth · j / samples, and falls back at the period's end.
+    """Make a sawtooth grating that rises with x, h_j = depth · j / samples, and drops at the end of the period.
 
     Args:
         period_um: Period along x [µm], more than 0.
-        depth_um: Peak-to-valley depth of the continuous sawtooth [µm], at least 0; the depth of the samples is less by
-            1/samples.
+        depth_um: Peak-to-valley depth of the continuous sawtooth [µm], at least 0. The depth of the samples is smaller
+            by the factor 1 − 1/samples.
         samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
             0.04 µm.
 
@@ -85,6 +101,11 @@ def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> 
 
     Raises:
         ValueError: An argument is out of its range.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.blazed(period_um=2.0, depth_um=0.4, samples=4).heights_um
+        array([[0. , 0.1, 0.2, 0.3]])
     """
     period, depth, n = _one_dimensional(period_um, depth_um, samples)
     return HeightField.of_known_scale((depth * np.arange(n) / n)[None, :], period / n)
@@ -95,7 +116,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
     period = validation.positive(period_um, "period_um")
     depth = validation.number(depth_um, "depth_um", least=0.0)
     if samples is None:
-        # An even number has a sample in every valley of a sine.
+        # With an even number of samples, one sample is at the valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
     memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
@@ -104,6 +125,8 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
 
 @dataclass(frozen=True)
 class _DiscFormat:
+    """Dimensions and run lengths of an optical disc format."""
+
     track_pitch_um: float
     pit_width_um: float
     pit_depth_um: float
@@ -111,7 +134,7 @@ class _DiscFormat:
     shortest_run: int
     longest_run: int
     growth: float
-    """Base λ of the run lengths' probabilities λ^−n at the code's capacity log2 λ."""
+    """Base λ of the probabilities λ^−n of run lengths n, for a code at its capacity log2 λ."""
 
 
 DiscKind = Literal["CD", "DVD", "Blu-ray"]
@@ -128,10 +151,10 @@ def disc(
 ) -> HeightField:  # fmt: skip
     """Make a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
 
-    Pits are stadium-shaped, their walls one sample wide. Runs of pit and land last n channel bits, n random with the
-    probabilities λ^−n of a run-length-limited code at its capacity (Immink 2004, *Codes for Mass Data Storage
-    Systems*, ch. 4: 0.5418 bits for 3 to 11, 0.6793 for 2 to 8). Depths are a quarter wave inside the plastic,
-    λ/(4n).
+    Pits are stadium-shaped, and their walls are one sample wide. Pits and lands are n channel bits long, where n is
+    random with the probabilities λ^−n of a run-length-limited code at its capacity (Immink 2004, *Codes for Mass Data
+    Storage Systems*, ch. 4: 0.5418 bits for 3 to 11, 0.6793 for 2 to 8). Depths are a quarter wavelength inside the
+    plastic, λ/(4n).
 
     ======= =========== ========= ========= =========== ======== ==============================================
     kind    track pitch pit width pit depth channel bit runs     source
@@ -142,21 +165,26 @@ def disc(
                                                                  layer, 405 nm, n = 1.6
     ======= =========== ========= ========= =========== ======== ==============================================
 
-    Pit widths are not standardised; these are typical of pressed discs.
+    Pit widths are not standardised; the values are typical of pressed discs.
 
     Args:
-        kind: Format of the disc: ``"CD"``, ``"DVD"`` or ``"Blu-ray"``.
-        tracks: Number of tracks across the patch, at least 1; None, the default, is about 25.6 µm of tracks.
-        length_um: Extent along the tracks [µm], at least four of the longest runs.
-        pitch_um: Largest distance of the samples [µm], at most half of a pit's width; a track has a whole number of
-            samples.
-        seed: Seed of the random data, at least 0.
+        kind: Format of the disc: ``"CD"`` (default), ``"DVD"`` or ``"Blu-ray"``.
+        tracks: Number of tracks across the patch, at least 1; None, the default, makes the patch about 25.6 µm wide.
+        length_um: Extent along the tracks [µm], default 25.6, at least four times the longest run.
+        pitch_um: Largest distance of the samples [µm], default 0.04, at most half of a pit's width. A track has a whole
+            number of samples.
+        seed: Seed of the random data, at least 0, default 0.
 
     Returns:
         Heights from −depth (pits) to 0 (land), periodic in both directions.
 
     Raises:
         ValueError: An argument is out of its range, or the pitch is too coarse for the pits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.disc("DVD", tracks=4, length_um=8.0)
+        HeightField(200 × 76 samples (y × x), pitch 0.04 × 0.03895 µm, size 8 × 2.96 µm, height range 0.105 µm)
     """
     form = _DISCS[validation.choice(kind, "kind", get_args(DiscKind))]
     track_count = round(25.6 / form.track_pitch_um) if tracks is None else validation.count(tracks, "tracks")
@@ -188,14 +216,14 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Of a long track hardly any rows are near; there are more than these.
+            # Only the rows near the pit are processed.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
-            beside = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
-            near = np.abs(beside) < half + dy
-            rows, beside = rows[near], beside[near]
-            # The axis of a stadium is shorter than the pit by its two round ends; a pit shorter than wide is a disc.
-            beyond = np.maximum(np.abs(beside) - max(half - radius, 0.0), 0.0)
+            offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
+            near = np.abs(offset) < half + dy
+            rows, offset = rows[near], offset[near]
+            # The axis of a stadium is the pit without its two round ends; a pit that is shorter than wide is a disc.
+            beyond = np.maximum(np.abs(offset) - max(half - radius, 0.0), 0.0)
             distance = np.hypot(beyond[:, None], x) - min(radius, half)
             coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
         heights[:, track * across : (track + 1) * across] = -form.pit_depth_um * coverage
@@ -203,12 +231,12 @@ def disc(
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
-    """Return an even number of run lengths, pit and land in turn, that add up to ``bits``."""
+    """Return an even number of run lengths, alternately of pits and lands, with the sum ``bits``."""
     lengths = np.arange(form.shortest_run, form.longest_run + 1)
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
     runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
-    # Single bits are added or taken at random until the track closes.
+    # Random runs are changed by one bit until the sum is right and the track closes.
     while (missing := bits - int(runs.sum())) != 0:
         step = 1 if missing > 0 else -1
         free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
@@ -220,22 +248,28 @@ def bumps(
     *, height_um: float = 0.15, width_um: float = 0.5, length_um: float = 1.0,
     spacing_um: float | tuple[float, float] = (2.0, 1.0), pitch_um: float = _COARSEST_PITCH_UM,
 ) -> HeightField:  # fmt: skip
-    """Make one cell of a lattice of bumps, of the size that Stam (1999, *Diffraction Shaders*) gives for a disc.
+    """Make one cell of a lattice of bumps; the defaults are those of a disc in Stam (1999, *Diffraction Shaders*).
 
-    Each bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where that is positive.
+    A bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where this is positive.
 
     Args:
-        height_um: Height of a bump [µm], at least 0.
-        width_um: Extent of a bump along x [µm], more than 0.
-        length_um: Extent of a bump along y [µm], more than 0.
-        spacing_um: Lattice spacing [µm], one number or a pair (y, x), at least the bump's extent.
-        pitch_um: Largest distance of the samples [µm]; a cell has a whole number of samples, at least two.
+        height_um: Height of a bump [µm], at least 0, default 0.15.
+        width_um: Extent of a bump along x [µm], more than 0, default 0.5.
+        length_um: Extent of a bump along y [µm], more than 0, default 1.
+        spacing_um: Lattice spacing [µm], one number or a pair (y, x), at least the extent of a bump, default (2, 1).
+        pitch_um: Largest distance of the samples [µm], default 0.04. A cell has a whole number of samples, at least
+            two.
 
     Returns:
         One cell with the bump at its middle sample, heights from 0.
 
     Raises:
         ValueError: An argument is out of its range, or the bump does not fit into the cell.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.bumps(height_um=0.2).shape
+        (50, 25)
     """
     height = validation.number(height_um, "height_um", least=0.0)
     extent = validation.positive(length_um, "length_um"), validation.positive(width_um, "width_um")
@@ -259,27 +293,32 @@ def fingers(
     *, size_um: float | tuple[float, float] = 25.6, pitch_um: float | tuple[float, float] = 0.05,
     period_um: float = 1.1, length_um: float = 3.0, height_um: float = 0.3, seed: int = 0,
 ) -> HeightField:  # fmt: skip
-    """Make quasi-periodic nano-fingers like those on a snake's shed skin.
+    """Make quasi-periodic nano-fingers like those on the shed skin of a snake.
 
-    Ridges stand side by side along x. Each is a chain of fingers that widen along +y from a narrow tip to the tip of
-    the next one, while the grooves beside them narrow and deepen. Tips of neighbouring ridges form wavy rows.
-    Positions, lengths and heights are jittered. Proportions were estimated by eye from atomic force microscope scans of
-    *Elaphe guttata*.
+    The surface has parallel ridges along y. A ridge is a chain of fingers, which widen along +y from a narrow tip to
+    the tip of the next finger, while the grooves between the ridges become narrower and deeper. The tips of
+    neighbouring ridges form wavy rows. Positions, lengths and heights have random variations. The proportions were
+    estimated by eye from atomic force microscope scans of *Elaphe guttata*.
 
     Args:
-        size_um: Extent [µm], one number or a pair (y, x), at least one finger.
-        pitch_um: Requested distance of the samples [µm], one number or a pair (dy, dx), at most an eighth of a finger;
-            the actual pitch divides the size.
-        period_um: Mean distance of the ridges along x [µm]; the actual distance divides the size.
-        length_um: Mean distance of the tips along y [µm]; the actual distance divides the size.
-        height_um: Highest minus lowest height [µm], exact, at least 0.
-        seed: Seed of the jitter, at least 0.
+        size_um: Extent [µm], one number or a pair (y, x), at least one finger, default 25.6.
+        pitch_um: Requested distance of the samples [µm], one number or a pair (dy, dx), at most an eighth of a finger,
+            default 0.05. The actual pitch divides the size.
+        period_um: Mean distance of the ridges along x [µm], default 1.1; the actual distance divides the size.
+        length_um: Mean distance of the tips along y [µm], default 3; the actual distance divides the size.
+        height_um: Highest minus lowest height [µm], exact, at least 0, default 0.3.
+        seed: Seed of the random variations, at least 0, default 0.
 
     Returns:
         Heights of zero mid-range, periodic in both directions.
 
     Raises:
         ValueError: An argument is out of its range, or the patch has less than one finger or 8 samples per finger.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.gratings.fingers(size_um=12.8, seed=4)
+        HeightField(256 × 256 samples (y × x), pitch 0.05 × 0.05 µm, size 12.8 × 12.8 µm, height range 0.3 µm)
     """
     size = validation.pair(size_um, "size_um")
     pitch = validation.pair(pitch_um, "pitch_um")
@@ -313,23 +352,23 @@ def fingers(
         position = rng.normal(0.0, 0.05) + rng.normal(0.0, 0.025, size=rows)
         rise = rng.normal(1.0, 0.05, size=rows)
         breadth = rng.normal(1.0, 0.07, size=rows)
-        # For every y, the finger that it lies on and how far behind that one's tip, from 0 to 1.
+        # For every y: the index of its finger, and its position on the finger, 0 at the tip to 1 at the next tip.
         past = (y[:, None] - tips) % rows
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # Further away a ridge is no more than rounding.
-        beside = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
-        aside = (x[beside] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
+        # Only columns near the ridge are processed; its contribution to others is less than rounding.
+        near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
+        aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]
         crest = (rise[finger] * (0.88 + 0.12 * np.sin(np.pi * behind)))[:, None]
-        top[:, beside] = np.maximum(top[:, beside], crest * np.exp(-((np.abs(aside) / half_width) ** 2.3)))
+        top[:, near_columns] = np.maximum(top[:, near_columns], crest * np.exp(-((np.abs(aside) / half_width) ** 2.3)))
         near = np.exp(-8.0 * aside**2)
-        ground[:, beside] += near * (0.5 - 0.45 * behind**1.3)[:, None]
-        weights[:, beside] += near
+        ground[:, near_columns] += near * (0.5 - 0.45 * behind**1.3)[:, None]
+        weights[:, near_columns] += near
     ground /= weights
     heights = ground + (1.0 - ground) * top
-    # A blunt tip, of the scanning needle as of the real fingers.
+    # The blur represents the finite tip of the microscope, and the rounding of real fingers.
     spread = 0.06 * period
     factor_y = np.exp(-2.0 * (np.pi * spread * np.fft.fftfreq(ny, dy)) ** 2)
     factor_x = np.exp(-2.0 * (np.pi * spread * np.fft.rfftfreq(nx, dx)) ** 2)

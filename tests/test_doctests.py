@@ -1,0 +1,71 @@
+"""Examples in the docstrings of public names: every name has at least one, and all of them run."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def public_names() -> list[str]:
+    """Names of ``wd.__all__``; of ``wd.gratings`` and ``wd.meshes``, which are modules, the public functions."""
+    names = []
+    for name in wd.__all__:
+        value = getattr(wd, name)
+        if inspect.ismodule(value):
+            functions = inspect.getmembers(value, inspect.isfunction)
+            own = getattr(
+                value, "__all__", [key for key, function in functions if function.__module__ == value.__name__]
+            )
+            names += [f"{name}.{key}" for key in own if not key.startswith("_")]
+        else:
+            names.append(name)
+    return names
+
+
+def members(name: str) -> Iterator[tuple[str, object]]:
+    """The object of a public name and, of a class, its public methods and properties with their own docstring."""
+    value: object = wd
+    for part in name.split("."):
+        value = getattr(value, part)
+    yield name, value
+    if isinstance(value, type):
+        for key, member in vars(value).items():
+            if not key.startswith("_"):
+                yield f"{name}.{key}", getattr(member, "__func__", member)
+
+
+def examples(name: str, value: object) -> doctest.DocTest:
+    """The examples of a docstring."""
+    text = inspect.getdoc(value) or "" if callable(value) or isinstance(value, property) else ""
+    return doctest.DocTestParser().get_doctest(text, {"np": np, "wd": wd}, name, None, None)
+
+
+@pytest.mark.parametrize("name", public_names())
+def test_public_name_has_an_example(name):
+    """The docstring of the name itself has an example; examples of methods do not count."""
+    _, value = next(members(name))
+    assert examples(name, value).examples, f"the docstring of {name} has no example"
+
+
+@pytest.mark.parametrize("name", public_names())
+def test_examples_run(name, tmp_path, monkeypatch):
+    """The examples of the name and of its methods print what they show; a relative path is in a temporary folder."""
+    monkeypatch.chdir(tmp_path)
+    runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
+    report: list[str] = []
+    # Other tests may have imported packages that change how NumPy prints numbers.
+    with np.printoptions(legacy=False):
+        for member, value in members(name):
+            runner.run(examples(member, value), out=report.append)
+    assert not runner.failures, "".join(report)
