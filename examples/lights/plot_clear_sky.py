@@ -1,0 +1,14 @@
+"""
+Clear sky
+=========
+
+A tube under the clear sky of the CIE with a sun, and the sky behind it.
+"""
+
+import warpdiff as wd
+
+body, skin = wd.meshes.tube(), wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
+sky = wd.Environment.clear_sky((0.6, 0.8, 0.3))  # direction towards the sun
+view = wd.View.fit(body, (0.0, 0.4, 1.0), width=240, height=135)
+image = wd.shade(body, skin, sky, view, tolerance=0.1, material=wd.Material.metal("Au"))
+image.save("clear_sky.png", background=sky.background(view))

@@ -1,0 +1,83 @@
+"""Examples: every script runs alone, at a small size, and writes a picture that is not empty."""
+
+import dataclasses
+import functools
+import runpy
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpdiff as wd
+
+FOLDER = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted(FOLDER.glob("*/plot_*.py"))
+# Lines of a script, and pixels of a test picture's longer side.
+MOST_LINES, MOST_PIXELS = 40, 48
+
+
+def smaller(view):
+    """A view with few pixels."""
+    scale = MOST_PIXELS / max(view.width, view.height)
+    size = {name: max(round(scale * getattr(view, name)), 2) for name in ("width", "height")}
+    return dataclasses.replace(view, **size)
+
+
+class SmallView:
+    """Stands for ``wd.View`` in an example."""
+
+    def __call__(self, *arguments, **options):
+        return smaller(wd.scene.camera.View(*arguments, **options))
+
+    def fit(self, *arguments, **options):
+        return smaller(wd.scene.camera.View.fit(*arguments, **options))
+
+
+def rough(function, **fixed):
+    """A function whose settings are replaced by those that take the least time."""
+
+    @functools.wraps(function)
+    def call(*arguments, **options):
+        return function(*arguments, **options | fixed)
+
+    return call
+
+
+@pytest.fixture
+def _small(monkeypatch, request):
+    mpl.use("Agg")
+    monkeypatch.setattr(wd, "View", SmallView())
+    monkeypatch.setattr(wd, "reflectance_map", rough(wd.reflectance_map, size=16, tolerance=0.3))
+    if request.node.callspec.params["script"].parent.name != "scans":
+        monkeypatch.setattr(wd.gratings, "fingers", rough(wd.gratings.fingers, size_um=3.2, pitch_um=0.1))
+    for name in ("shade", "Renderer"):
+        monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=1.5)))
+    monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=wd.Coherence(sigma_um=1.5)))
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_examples_write_their_pictures(script, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(script))
+    pictures = list(tmp_path.glob("*.png"))
+    assert pictures
+    for path in pictures:
+        with Image.open(path) as picture:
+            assert np.ptp(np.asarray(picture.convert("RGB"))) > 0
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_examples_are_short_and_have_a_title(script):
+    lines = script.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MOST_LINES
+    title, rule = lines[1:3]
+    assert rule == len(title) * "="
+
+
+def test_there_are_examples_of_every_topic():
+    assert len(SCRIPTS) >= 20
+    assert all((script.parent / "README.rst").is_file() for script in SCRIPTS)
