@@ -94,6 +94,13 @@ def bake(
         ValueError: A bad argument, a coherence of amplitudes, or a transparent material.
         ToleranceError: The colour difference cannot be met, and ``strict`` is True.
         MemoryError: More memory than is free; the message states what fits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> lobes = wd.bake(grating, delta_e=20.0, coherence=wd.Coherence(sigma_um=2.0))
+        >>> lobes.reflectance((0, 0, 1), (0.0, 0.0, 1.0)).round(2)
+        array([0.48, 0.49, 0.36], dtype=float32)
     """
     settings = PlanSettings(
         tolerance=min(_RELATIVE_ERROR * delta_e, 0.1), coherence=coherence, material=material, strict=strict,

@@ -52,6 +52,13 @@ def bake_spectrum(
     Raises:
         ValueError: A bad argument, or another kind of coherence.
         MemoryError: More memory than is free; the message states what fits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> window = wd.Coherence(sigma_um=2.0)
+        >>> spectrum = wd.bake_spectrum(wd.gratings.sinusoidal(2.0, 0.1), size=16, tolerance=0.1, coherence=window)
+        >>> spectrum.coherence
+        Coherence(kind='averaged', sigma_um=2.0, centre_um=None, angular_diameter_deg=None, periods=None)
     """
     settings = PlanSettings(
         tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, device=device, threads=threads

@@ -63,6 +63,14 @@ class BakedLobes(table_files.SavedTable):
         zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
         reflectances: R of the material at equal steps of cos θd from 0 to 1 and of the wavelength from 380 to 780 nm,
             shape (angles, wavelengths), float32, linear in between; None without a material.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> lobes = wd.bake(wd.gratings.sinusoidal(2.0, 0.1), delta_e=20.0, coherence=wd.Coherence(sigma_um=2.0))
+        >>> lobes.save("lobes.npz").name
+        'lobes.npz'
+        >>> wd.BakedLobes.load("lobes.npz").bytes == lobes.bytes
+        True
     """
 
     FORMAT = "warpdiff baked lobes, version 2"

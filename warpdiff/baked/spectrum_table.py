@@ -34,6 +34,13 @@ class BakedSpectrum(table_files.SavedTable):
         largest_kappa: |κ| of the last entry of ``functions`` [1/µm].
         functions: f_k at equal steps of |κ|, shape (entries, K), float32; linear in between.
         zeroth: |H₀₀|² at the same |κ|, shape (entries,), float32.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> window = wd.Coherence(sigma_um=2.0)
+        >>> spectrum = wd.bake_spectrum(wd.gratings.sinusoidal(2.0, 0.1), size=16, tolerance=0.1, coherence=window)
+        >>> spectrum.save("spectrum.npz").name
+        'spectrum.npz'
     """
 
     FORMAT = "warpdiff baked spectrum, version 1"

@@ -46,6 +46,15 @@ class OrderEfficiencies:
         orders: Pairs (m_y, m_x) of all orders that propagate at one of the wavelengths at least, shape (n, 2), sorted.
         to_view: Unit vectors ωr along which they leave, shape (m, n, 3); NaN where an order is evanescent.
         efficiencies: Shares of the incident power, shape (m, n); 0 where an order is evanescent.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> orders = wd.order_efficiencies(grating, (0, 0, 1), 550.0)
+        >>> orders
+        OrderEfficiencies(7 orders, 1 wavelengths, 550 to 550 nm)
+        >>> orders.orders.tolist()
+        [[0, -3], [0, -2], [0, -1], [0, 0], [0, 1], [0, 2], [0, 3]]
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -94,6 +103,13 @@ def order_efficiencies(
         TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
         ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
         MemoryError: More memory than is free; the message states what fits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> orders = wd.order_efficiencies(grating, (0, 0, 1), [450.0, 550.0])
+        >>> orders[0, 1].round(4)
+        array([0.0119, 0.0095])
     """
     check_whole(heightfield)
     light = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0]

@@ -69,6 +69,12 @@ def spectral_reflectance(
     Returns:
         ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
         at or below the horizon.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> wd.spectral_reflectance(grating, (0, 0, 1), (0.0, 0.0, 1.0), [450.0, 650.0]).round(3)
+        array([0.324, 0.608], dtype=float32)
     """
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     request = Evaluation.of(heightfield, SpectralSettings(**settings), wavelengths_nm=wavelengths)
@@ -96,6 +102,13 @@ def reflectance(
     Returns:
         CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
         normal incidence gives the illuminant's white, Y = 1.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> wd.reflectance(grating, (0, 0, 1), [(0.0, 0.0, 1.0), (0.3, 0.0, 1.0)]).round(3)
+        array([[0.477, 0.495, 0.362],
+               [0.033, 0.037, 0.   ]], dtype=float32)
     """
     request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
     progress = reporter(progress, "reflectance")
@@ -129,6 +142,12 @@ def reflectance_map(
         ValueError: A bad argument, or a light that is not above the horizon.
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
         MemoryError: More memory than is free; the message says what fits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> wd.reflectance_map(grating, (0, 0, 1), size=32)
+        Image(32 × 32 pixels, 79 % illuminated, estimated error 0.001 at the 99th percentile)
     """
     request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
     progress = reporter(progress, "reflectance map")
@@ -195,6 +214,12 @@ def brdf(
 
     Returns:
         Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> wd.brdf(grating, (0, 0, 1), (0.3, 0.0, 1.0), [550.0]).shape
+        (1,)
     """
     checked = BrdfSettings(**settings)
     common = cast("PlannedKeywords", {name: value for name, value in settings.items() if name != "energy"})

@@ -32,6 +32,14 @@ class Comparison:
         reported_share: Share of these pixels whose ``image.error`` exceeds the tolerance, too; None if the picture
             estimates no errors, or if no pixel exceeds the tolerance.
         luminance_ratio: Sum of Y over the compared pixels, relative to that of the reference.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> import numpy as np
+        >>> reference = np.full((4, 4, 3), 0.5)
+        >>> comparison = wd.compare(1.02 * reference, reference, tolerance=0.1)
+        >>> round(comparison.p99, 3), comparison.share_beyond_tolerance
+        (0.02, 0.0)
     """
 
     error: NDArray[np.float64]

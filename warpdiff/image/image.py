@@ -62,6 +62,16 @@ class Image:
             through it [the mesh's unit], shape (height, width), float32, infinite in the background. ``"geometry"``:
             index of the scene's geometry, in the order of its nodes, shape (height, width), int32, −1 in the
             background.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
+        >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
+        >>> image = wd.shade(body, grating, light, view, tolerance=0.1)
+        >>> image.xyz.shape, image.error.shape
+        ((18, 32, 3), (18, 32))
+        >>> image.save("tube.png").name
+        'tube.png'
     """
 
     xyz: NDArray[np.float32]

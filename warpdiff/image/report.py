@@ -33,6 +33,14 @@ class Report:
         unconverged_edge_share: Share of the pixels at edges, of the mesh or of shadows, whose error is expected to
             exceed three tolerances; 0 without refinement.
         light_sample_count: Number of directions and lobes that represent the lights.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
+        >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
+        >>> report = wd.shade(body, grating, light, view, tolerance=0.1).report
+        >>> report.tolerance, report.is_refined
+        (0.1, True)
     """
 
     tolerance: float

@@ -39,6 +39,13 @@ class DirectionalLight(Checked, LobeLight):
         angular_diameter_deg: Angular diameter of a disc of uniform radiance; 0 is a point. A disc requires footprints
             (``footprint=`` of pictures). Up to 1.5°, or up to 5° in pictures with ``refine=False``, it is approximated
             by a Gaussian and has a hard shadow.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.DirectionalLight((0.6, 1.0, -0.1), angular_diameter_deg=3.0).angular_diameter_deg
+        3.0
+        >>> wd.DirectionalLight((0.0, 2.0, 0.0)).to_light
+        (0.0, 1.0, 0.0)
     """
 
     to_light: tuple[float, float, float]

@@ -58,6 +58,12 @@ class Environment(Checked, Light):
         scale: Linear factor of the radiance.
         directions: Number of directions that are drawn for each pixel with ``refine=False``; None is 64. Refined
             pictures draw as many as their tolerance asks for.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> import numpy as np
+        >>> wd.Environment(np.ones((16, 32, 3)), scale=0.5)
+        Environment(16 × 32 pixels, rotation_deg=0, scale=0.5, directions=None)
     """
 
     radiance_rgb: ArrayLike
@@ -167,6 +173,11 @@ class Environment(Checked, Light):
 
         Raises:
             ValueError: An argument is not accepted, or the sun is not above the horizon.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> wd.Environment.clear_sky((1.0, 0.8, 0.3))
+            Environment(512 × 1024 pixels, rotation_deg=-106.523, scale=1, directions=None)
         """
         towards = validation.directions(validation.vector(sun_direction, "sun_direction"), "sun_direction")[0][0]
         x, y, z = towards.tolist()

@@ -24,6 +24,12 @@ class PointLight(Checked, LobeLight):
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         power: Linear factor, specified at distance 1 in mesh units: with 1, a flat mirror at this distance that
             reflects the light has Y = 1.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> lamp = wd.PointLight((0.5, 2.0, 1.0), illuminant="FL11", power=4.0)
+        >>> lamp.power
+        4.0
     """
 
     position: Annotated[tuple[float, float, float], Unit("mesh units")]

@@ -79,6 +79,13 @@ def plan(
 
     Raises:
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> plan = wd.plan(grating, (0, 0, 1), (0.3, 0.0, 1.0), tolerance=0.01)
+        >>> plan.method, plan.tolerance
+        ('jacobi-anger', 0.01)
     """
     request = Evaluation.of(heightfield, PlanSettings(**settings), illuminants=(illuminant,))
     with memory.as_memory_error("plan()", f"use a larger {ref('tolerance')}, or a smaller {ref('heightfield')}"):

@@ -73,6 +73,13 @@ def shade(
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
         FileNotFoundError: The mesh file does not exist.
         MemoryError: More memory than is free; the message states what fits.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
+        >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
+        >>> wd.shade(body, grating, light, view, tolerance=0.1)
+        Image(32 × 18 pixels, 21 % illuminated, estimated error 3.2 at the 99th percentile)
     """
     checked = SinglePictureSettings(**settings)
     inputs = PictureInputs.of(heightfield, lights, view, checked)

@@ -71,6 +71,12 @@ class View(Checked):
         width: Width of the image.
         height: Height of the image.
         extent_y: Height of an orthographic image in the unit of the mesh; None is a perspective camera.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> view = wd.View((0.0, 1.5, 4.0), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=320, height=180)
+        >>> view.eye
+        (0.0, 1.5, 4.0)
     """
 
     eye: tuple[float, float, float]
@@ -140,6 +146,12 @@ class View(Checked):
         Raises:
             FileNotFoundError: The mesh file does not exist.
             ValueError: An argument is not accepted, or the mesh file cannot be read.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> view = wd.View.fit(wd.meshes.disc(), (0.0, 0.0, 1.0), width=320, height=180)
+            >>> tuple(round(x, 2) for x in view.eye)
+            (0.0, 0.0, 2.99)
         """
         if direction is None:
             above = validation.directions(validation.vector(up, "up"), "up")[0][0]

@@ -49,6 +49,12 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
     Raises:
         ImportError: Mitsuba is not installed: ``pip install 'warpdiff[mitsuba]'``.
         RuntimeError: The variant is not set, is monochromatic, or polarised.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> import mitsuba  # doctest: +SKIP
+        >>> mitsuba.set_variant("llvm_ad_spectral")  # doctest: +SKIP
+        >>> wd.register_mitsuba_bsdf()  # doctest: +SKIP
     """
     if not isinstance(name, str) or not name.isidentifier():
         raise ArgumentValueError(f"{ref('name')} must be an identifier, of letters, digits and '_', got {name!r}")

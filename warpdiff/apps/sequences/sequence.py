@@ -84,6 +84,15 @@ def sequence(
     Raises:
         ValueError: An argument is not accepted, or the folder holds frames of another sequence.
         OSError: A file cannot be written; existing frames are unchanged.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
+        >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
+        >>> renderer = wd.Renderer(body, grating, light, view, tolerance=0.1)
+        >>> paths = wd.sequence(renderer, wd.turntable(light, view, count=2), "turn")
+        >>> [path.name for path in paths]
+        ['frame_0000.png', 'frame_0001.png']
     """
     report = reporter(progress, "sequence") or (lambda _: None)
     _check_shots(shots, renderer)

@@ -43,6 +43,12 @@ class Shot:
     Attributes:
         lights: One light of any kind, or several; stored as a tuple.
         view: Camera.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> shot = wd.Shot(wd.DirectionalLight((0, 1, 0)), wd.View((0, 1, 3), (0, 0, 0)))
+        >>> shot.view.width
+        640
     """
 
     lights: tuple[Light, ...]
@@ -77,6 +83,13 @@ def turntable(
 
     Raises:
         ValueError: An argument is not accepted.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> view = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0))
+        >>> shots = wd.turntable(wd.DirectionalLight((0, 1, 0)), view, count=4)
+        >>> [round(x, 3) + 0.0 for x in shots[1].view.eye]
+        [-3.0, 0.0, 0.0]
     """
     lights = _check_lights(lights)
     axis = validation.directions(view.up, "view.up")[0][0]
@@ -121,6 +134,13 @@ def light_sweep(
 
     Raises:
         ValueError: An argument is not accepted, or the directions are opposite and have no shortest path.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> light, view = wd.DirectionalLight((0, 1, 0)), wd.View((0, 1, 3), (0, 0, 0))
+        >>> shots = wd.light_sweep(light, view, (1, 0, 0), count=3)
+        >>> [round(x, 3) for x in shots[1].lights[0].to_light]
+        [0.707, 0.707, 0.0]
     """
     lights, target = _check_lights(lights), np.array(view.target)
     if (to_light is None) == (turns is None):
@@ -154,7 +174,7 @@ def camera_path(
     path: str | os.PathLike[str], lights: Light | Sequence[Light], view: View, *,
     count: Count | None = None,
 ) -> list[Shot]:  # fmt: skip
-    """Make the shots of a camera whose path is in a file.
+    r"""Make the shots of a camera whose path is in a file.
 
     Args:
         path: CSV file with a header and one row per frame or key frame. The columns are ``eye_x``, ``eye_y``,
@@ -171,6 +191,15 @@ def camera_path(
     Raises:
         FileNotFoundError: The file does not exist.
         ValueError: An argument or the file is not accepted; the message names the row.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> from pathlib import Path
+        >>> rows = "eye_x,eye_y,eye_z,target_x,target_y,target_z\n0,0,3,0,0,0\n1,0,3,0,0,0\n"
+        >>> _ = Path("path.csv").write_text(rows)
+        >>> light, view = wd.DirectionalLight((0, 1, 0)), wd.View((0, 1, 3), (0, 0, 0))
+        >>> len(wd.camera_path("path.csv", light, view, count=5))
+        5
     """
     lights = tuple(_check_lights(lights))
     names, rows = _rows(path)

@@ -93,6 +93,14 @@ def export_html(
     Raises:
         ValueError: An argument is not accepted, the mesh has no area or no tangents, or a light has another illuminant.
         OSError: The file cannot be written; an existing file is unchanged.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
+        >>> lobes = wd.bake(grating, delta_e=20.0, coherence=wd.Coherence(sigma_um=2.0))
+        >>> light, view = wd.DirectionalLight((0, 1, 1)), wd.View.fit(body, turning=True)
+        >>> wd.export_html("page.html", body, lobes, light, view).name
+        'page.html'
     """
     target = validation.path(path, "path")
     if target.suffix.lower() not in (".html", ".htm"):
