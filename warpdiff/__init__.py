@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING
 from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
-    from warpdiff import datasets
     from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf
     from warpdiff.apps.sequences.sequence import sequence
     from warpdiff.apps.sequences.shots import Shot, camera_path, light_sweep, turntable
@@ -54,6 +53,8 @@ if TYPE_CHECKING:
     from warpdiff.samples import bodies as meshes
     from warpdiff.samples import gratings
     from warpdiff.scene.camera import View
+
+    from . import datasets
 
     __version__: str
 

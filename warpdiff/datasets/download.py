@@ -124,6 +124,6 @@ def _remedy(dataset: Dataset) -> str:
     folder = os.environ.get("WARPDIFF_DATA")
     place = f"in the folder {folder!r}" if folder else "in a folder, and set WARPDIFF_DATA to that folder"
     return (
-        f"download {dataset.address} ({dataset.size_bytes:,} bytes, SHA-256 {dataset.sha256}) by other means, and save "
-        f"it as {dataset.local_name} {place}"
+        f"download {dataset.address} ({dataset.size_bytes:,} bytes, SHA-256 {dataset.sha256}) by other means, "
+        f"save it as {dataset.local_name} {place}"
     )
