@@ -29,7 +29,9 @@ extensions = [
     "generated_reference",
 ]
 templates_path = ["templates"]
-exclude_patterns = ["_build", "extensions", "templates"]
+exclude_patterns = ["_build", "extensions", "templates", "jupyter_execute"]
+# sphinx-gallery writes its pages beside scripts and notebooks, which are downloads.
+exclude_patterns += [f"gallery/**/*.{suffix}" for suffix in ("ipynb", "py", "md5", "json", "zip")]
 nitpicky = True
 # Annotations name types of other packages, and ranges of values.
 nitpick_ignore_regex = [(r"py:class", r"(?!warpdiff\.).*")]
@@ -61,16 +63,13 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 if (HERE.parent / "examples").is_dir():
-    from gallery_pictures import SavedPictures
-    from sphinx_gallery.sorting import FileNameSortKey
-
     extensions.append("sphinx_gallery.gen_gallery")
     sphinx_gallery_conf = {
         "examples_dirs": "../examples",
         "gallery_dirs": "gallery",
         "filename_pattern": r"plot_",
-        "image_scrapers": (SavedPictures(), "matplotlib"),
-        "within_subsection_order": FileNameSortKey,
+        "image_scrapers": ("gallery_pictures.saved_pictures", "matplotlib"),
+        "within_subsection_order": "FileNameSortKey",
         "remove_config_comments": True,
         "show_memory": False,
         "download_all_examples": False,

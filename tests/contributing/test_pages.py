@@ -1,0 +1,76 @@
+"""Pages for contributors: what they tell you to write works as printed."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.diffraction.phase_series import EXPANSIONS
+from warpdiff.heightfield import readers
+
+FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
+
+
+@pytest.fixture
+def module_of(tmp_path, monkeypatch):
+    """Import the Python block of a page as a module; Warp reads the source of kernels from its file."""
+
+    def load(page):
+        (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
+        path = tmp_path / f"page_{page}.py"
+        path.write_text(code, encoding="utf-8")
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, path.stem, module)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+def test_a_light(module_of, fingers):
+    """Where the axis points at the body the spotlight shines, and where it points away nothing does."""
+    page = module_of("add_a_light")
+    body = wd.meshes.tube(segments_along=12, segments_around=12)
+    view = wd.View.fit(body, width=24, height=18)
+    window = wd.Coherence(sigma_um=4.0)
+    towards, away = (
+        wd.shade(
+            body, fingers, page.SpotLight((0.3, 1.7, 1.4), axis=axis), view, coherence=window, tolerance=0.3,
+            pigment=0.0, refine=False,
+        )
+        for axis in ((0.0, -0.8, -0.6), (0.0, 0.8, 0.6))
+    )  # fmt: skip
+    assert towards.xyz.max() > 0.0
+    assert away.xyz.max() == 0.0
+
+
+def test_a_reader(module_of, tmp_path, monkeypatch):
+    monkeypatch.setattr(readers, "_readers", dict(readers._readers))
+    module_of("add_a_reader")
+    (tmp_path / "scan.foo").write_text("0.25\n0 100 200\n50 150 250\n")
+    scan = wd.HeightField.load(tmp_path / "scan.foo")
+    np.testing.assert_allclose(scan.heights_um, [[0.0, 0.1, 0.2], [0.05, 0.15, 0.25]])
+    assert scan.pitch_um == (0.25, 0.25)
+
+
+def test_an_option(module_of, capsys):
+    page = module_of("add_an_option")
+    assert capsys.readouterr().out == "Strength of the sparkle, relative to the surface. at least 0 and at most 2 0.5\n"
+    with pytest.raises(ValueError, match=r"^sparkle must be a finite number, at least 0 and at most 2, got 3\.0$"):
+        page.ProbeSettings(sparkle=3.0)
+
+
+def test_an_expansion(module_of, monkeypatch):
+    monkeypatch.setattr("warpdiff.diffraction.phase_series.EXPANSIONS", dict(EXPANSIONS))
+    page = module_of("add_an_expansion")
+    expansion = page.EXPANSIONS["probe"]
+    x, g = 1.5, np.linspace(-1.0, 1.0, 21)
+    terms = expansion.term_count(x, 1e-6)
+    polynomials = [p for p, _ in zip(expansion.polynomials(g), range(terms), strict=False)]
+    value = sum(1j**n * b * p for n, (b, p) in enumerate(zip(expansion.basis(x, terms), polynomials, strict=True)))
+    np.testing.assert_allclose(value, np.exp(1j * x * g), atol=1e-6)
