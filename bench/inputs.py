@@ -6,6 +6,7 @@ from pathlib import Path
 
 import warpdiff as wd
 from warpdiff.apps.demo import data_folder
+from warpdiff.datasets.download import read
 
 HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data next to a checkout"
 
@@ -17,8 +18,9 @@ def folder(data: str | Path | None = None) -> Path:
 
 def scan(data: str | Path | None = None) -> wd.HeightField | None:
     """Return the 65 µm scan of a corn snake's skin as measured, or None if it is absent."""
-    path = folder(data) / "elaphe_65um.png"
-    return wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375) if path.is_file() else None
+    dataset = wd.datasets.info("corn_snake_scan")
+    path = folder(data) / dataset.local_name
+    return read(dataset, path) if path.is_file() else None
 
 
 def levelled_scan(data: str | Path | None = None) -> wd.HeightField | None:

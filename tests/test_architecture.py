@@ -22,7 +22,7 @@ SOURCES = {
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
 # Packages that import Warp neither themselves nor through others.
-WITHOUT_WARP = ("core", "diffraction", "heightfield", "image", "optics", "samples")
+WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "samples")
 # Attributes of Warp's objects that Warp's reference does not describe.
 UNDOCUMENTED = (
     r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
@@ -120,7 +120,8 @@ called = {
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "ToleranceError": wd.ToleranceError("text"), "View": view.width, "WarpdiffWarning": wd.WarpdiffWarning("text"),
     "bake": lobes.bytes, "bake_spectrum": spectrum.coherence, "brdf": wd.brdf(heightfield, up, up, 550.0, **settings),
-    "camera_path": wd.camera_path(path, light, view), "export_html": wd.export_html,
+    "camera_path": wd.camera_path(path, light, view), "datasets": wd.datasets.info("corn_snake_scan"),
+    "export_html": wd.export_html,
     "gratings": wd.gratings.lamellar(2.5, 0.1), "light_sweep": wd.light_sweep(light, view, (1.0, 0.0, 1.0)),
     "meshes": disc, "order_efficiencies": wd.order_efficiencies(heightfield, up, 550.0),
     "plan": wd.plan(heightfield, **settings), "reflectance": wd.reflectance(heightfield, up, up, **settings),

@@ -18,7 +18,7 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def public_names() -> list[str]:
-    """Names of ``wd.__all__``; of ``wd.gratings`` and ``wd.meshes``, which are modules, the public functions."""
+    """Names of ``wd.__all__``; of those that are modules, such as ``wd.gratings``, the public functions."""
     names = []
     for name in wd.__all__:
         value = getattr(wd, name)

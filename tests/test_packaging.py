@@ -170,7 +170,8 @@ def test_dependencies_are_what_is_imported():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # What single commands take is in extras.
     extras = PROJECT["optional-dependencies"]
-    optional = {re.split(r"[<>=~! \[]", each)[0] for name in ("view", "dask", "mitsuba") for each in extras[name]}
+    commands = ("view", "data", "dask", "mitsuba")
+    optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
 

@@ -6,6 +6,7 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``core``: validation, caches, threads, files, forks
 - ``device``: Warp devices and launches of kernels; ``optics``: coherence, materials, spectra, colorimetry
 - ``heightfield``: measured height fields; ``samples``: synthetic gratings and sample bodies
+- ``datasets``: published measurements, downloaded on demand
 - ``diffraction``: series of exp(2πiκh) and their Fourier coefficients
 - ``request``: plans and ranges of directions; ``image``: pictures and their files; ``scene``: meshes and cameras
 - ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
     from warpdiff.samples import gratings
     from warpdiff.scene.camera import View
 
+    from . import datasets
+
     __version__: str
 
 # In a checkout ``kernels/`` lies beside this package; an installation has it within.
@@ -62,7 +65,7 @@ if not Path(__path__[0], "kernels").is_dir():
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
     "Image", "Material", "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Report", "Shot", "Spectrum",
-    "ToleranceError", "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "compare",
+    "ToleranceError", "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "compare", "datasets",
     "export_html", "gratings", "light_sweep", "meshes", "order_efficiencies", "plan", "reflectance", "reflectance_map",
     "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "turntable",
 ]  # fmt: skip
@@ -83,7 +86,7 @@ _MODULES = {
     "apps.sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
     "apps.web_page.export_html": ("export_html",),
 }  # fmt: skip
-_ALIASES = {"gratings": "samples.gratings", "meshes": "samples.bodies"}
+_ALIASES = {"datasets": "datasets", "gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 

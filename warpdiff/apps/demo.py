@@ -13,8 +13,9 @@ import trimesh
 from warpdiff import gratings, meshes
 from warpdiff.core import files, validation
 from warpdiff.core.wording import marked, ref
+from warpdiff.datasets.download import read
+from warpdiff.datasets.registry import info
 from warpdiff.evaluate.reflectance import reflectance_map
-from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.lights.directional import DirectionalLight
 from warpdiff.optics.materials import Material
@@ -25,14 +26,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from warpdiff.core.progress import Progress
+    from warpdiff.heightfield.field import HeightField
     from warpdiff.image.display_transform import Display, GamutName
     from warpdiff.image.image import Image
     from warpdiff.samples.corn_snake import Tangent
 
-# The scan does not record its vertical range; the published preprocessing takes 0 to 255 as 0 to 0.375 µm.
-SCAN = "elaphe_65um.png"
-SCAN_EXTENT_UM = 65.0
-SCAN_HEIGHT_RANGE_UM = 0.375
+_SCAN = info("corn_snake_scan")
+SCAN = _SCAN.local_name
 MESH = "fuze.obj"
 # Relative error of the pictures. Limit: the demonstration takes about half a minute.
 _TOLERANCE = 5e-2
@@ -75,8 +75,7 @@ def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
     """Load the scan of a snake's skin, levelled, despiked and periodic."""
-    scan = HeightField.load(path, extent_um=SCAN_EXTENT_UM, height_range_um=SCAN_HEIGHT_RANGE_UM)
-    return scan.levelled(order=2).despiked().periodic()
+    return read(_SCAN, path).levelled(order=2).despiked().periodic()
 
 
 def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:

@@ -1,0 +1,15 @@
+"""Published measurements that are downloaded on demand, public as ``wd.datasets``; no Warp.
+
+In: the name of a data set.
+Out: a ``HeightField``, as measured. A folder named by ``WARPDIFF_DATA`` is searched before anything is downloaded.
+
+Examples:
+    >>> import warpdiff as wd
+    >>> wd.datasets.info("corn_snake_scan").extent_um
+    65.0
+"""
+
+from warpdiff.datasets.download import fetch
+from warpdiff.datasets.registry import Dataset, info
+
+__all__ = ["Dataset", "fetch", "info"]
