@@ -30,7 +30,7 @@ _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h"
 HALF_TAPS = 7
 # Directions that a thread looks up one after the other on the CPU, at most.
 BATCH = 256
-# Of those, how many before its turn one's rows are asked for.
+# Number of directions ahead of the present one whose rows are requested from memory.
 _AHEAD = 3
 # Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
 FILTER_REACH = 6
@@ -42,7 +42,7 @@ _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Parts of a footprint along its angle.
 MOST_PARTS = 12
-# Of a wide blur rings count so many deviations out.
+# Number of standard deviations up to which rings count for a wide blur.
 DEVIATIONS = 3.0
 
 

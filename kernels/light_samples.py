@@ -8,8 +8,8 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Of a kernel of arrays with one index, Warp compiles a second variant for the CPU, for arrays that lie densely, hardly
-# faster. A second index, which is always 0, spares it: a third of these modules' time to compile.
+# Warp compiles a second variant of a kernel whose arrays have one index, for contiguous arrays, which is hardly faster.
+# A second index, which is always 0, avoids this variant and a third of the time to compile these modules.
 
 
 @wp.struct
@@ -34,7 +34,8 @@ class Reflection:
     per_light_cosine: wp.bool  # for a light of a size
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
     materials: wp.array(dtype=wp.int32)  # of each face; empty where there is one
-    # What makes energy whole, by angles from the normal and around it; empty leaves Stam's as it is.
+    # Factors that normalise the energy, by angles from the normal and around it. An empty array leaves the energy of
+    # Stam's model unchanged.
     energy: wp.array2d(dtype=wp.float32)
 
 
@@ -62,7 +63,7 @@ def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """What of light comes through a material's surface, in linear RGB, at the cosine of its angle."""
+    """Transmittance of a material's surface, in linear RGB, at the cosine of the angle."""
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
@@ -235,7 +236,7 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # What is across a direction is all but what is along it.
+                # The component across a direction is the vector minus its component along the direction.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x

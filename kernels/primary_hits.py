@@ -10,7 +10,7 @@ wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "
 
 # How far from a pixel's centre its samples lie, at most.
 MOST_OFFSET = 1.5
-# Of a ray that meets no face.
+# Value of a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 # Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),

@@ -2,7 +2,7 @@
 
 import math
 
-# Of the recursive filter that turns values into the coefficients of the spline through them.
+# Pole of the recursive filter that turns values into the coefficients of the spline through them.
 POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 

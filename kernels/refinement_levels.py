@@ -9,7 +9,7 @@ from warpdiff.kernels.thresholds import PERCENTILE
 
 # The pixel's filter, a Gaussian: its deviation, and where it is cut, along each axis [pixels].
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# What of it lies in each of three pixels in a row.
+# Share of the filter in each of three pixels in a row.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # The finest level: 4,096 cells per pixel, so that the filter covers 36,864 with the eight pixels around.
@@ -19,10 +19,10 @@ LEVELS = range(1, MOST_LEVEL + 1)
 COARSE_TOLERANCE = 0.05
 # Points, which have no filters, begin at this level: nothing else tells how much they differ.
 LEAST_LEVEL_OF_POINTS = 2
-# What 95 of 100 pixels err by, at most. Of those that are not split: over the contrast with those beside them, a share
-# where (u, v) is even and changes by little, and more in proportion to how uneven it is, which is by how much its
-# change from one pixel to the next differs from that to the one before, relative to the larger one, and to that change
-# itself, relative to |(u, v)|. See docs/decisions/adaptive_sampling.md.
+# Errors of pixels that are not subdivided, relative to the contrast with their neighbours: a bound for 95 of 100
+# pixels. The base share applies where (u, v) is even and changes slowly. Unevenness is the difference between the
+# changes of (u, v) from one pixel to the next, relative to the larger one. The last share is proportional to that
+# change relative to |(u, v)|. Fitted: see docs/decisions/adaptive_sampling.md.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # When the level of a tile is selected, its predicted change is multiplied by CAUTION. It is multiplied by EDGE_FACTOR,
 # too, where the tile and those around have both cells that are lit and cells that are not. Fitted to the snake; judged

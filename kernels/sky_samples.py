@@ -115,7 +115,7 @@ def place_in_sky(sky: Sky, along: wp.vec3f) -> wp.vec2f:
 
 @wp.func
 def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
-    """What comes from a place of the sky, linear between the middles of its cells."""
+    """Return the radiance at a place of the sky, linear between the centres of its cells."""
     height = sky.powers.shape[0]
     width = sky.powers.shape[1]
     x = place[0] * wp.float32(width) - 0.5

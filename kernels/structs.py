@@ -6,9 +6,9 @@ a nanometre as for one of a kilometre, wherever either lies.
 
 import warp as wp
 
-# What a filter does to (u, v): its change by one standard deviation along rows, and along columns.
+# Change of (u, v) by one standard deviation of the filter, along rows and along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Of a pixel that is yet to be taken by itself.
+# Mark of a pixel that is not computed yet.
 SPECIAL = wp.constant(2)
 
 

@@ -34,7 +34,7 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """What a pixel's error is taken to be of its contrast, by how (u, v) changes from it to the eight around."""
+    """Return the assumed ratio of a pixel's error to its contrast, from the change of (u, v) to its neighbours."""
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)
@@ -114,7 +114,8 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                        # What is aslant has less of the filter than what is beside, and may be far brighter.
+                        # Diagonal neighbours have a smaller share of the filter than direct ones, but may be far
+                        # brighter.
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:

@@ -12,8 +12,9 @@ constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 // Most blocks of cells along a side of a pixel, whose means tell how cells scatter.
 constexpr int BLOCKS = 4;
 
-// Of one split pixel: for the pixel that lies 1 − i rows below and 1 − j columns to the right, the sum of colours times
-// weights, and that of the weights; of each block the sum of colours and how many cells have one; and the bits.
+// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` has the sum of colours times weights and the sum
+// of weights for the pixel that lies 1 − i rows below and 1 − j columns to the right. `blocks` has the sum of colours
+// of each block and the number of its cells that have a colour. `lighting` has the bits.
 struct CellSums {
     float filtered_sums[3][3][4] = {}, blocks[BLOCKS][BLOCKS][4] = {};
     int across, cells; // blocks, and cells of each

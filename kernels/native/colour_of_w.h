@@ -77,7 +77,7 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float least = wavenumbers[0];
     // Not so far out at any wavelength that exp(-24) = 4e-11 is left.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
-    // Of a material's reflectance, between two angles: cos θd is |(u, v, w)|/2.
+    // Reflectance of a material, linear between two angles: cos θd is |(u, v, w)|/2.
     const float* const reflectances = numbers<const float>(table.reflectances);
     const int angles = table.reflectances.shape[1];
     const float cosine = wp::min(0.5f * wp::sqrt(u * u + v * v + w * w), 1.0f) * (float)(angles - 1);

@@ -28,7 +28,8 @@ constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // else is in them, and azimuths where these turn from ring to ring.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Of a wide blur rings count so many deviations out, which leaves the Gaussian a variance of 1/per_variance of its own.
+// Number of standard deviations up to which rings count for a wide blur. The truncated Gaussian has the variance
+// 1/per_variance.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -61,9 +62,9 @@ template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // Which azimuth the middle of the part lies on, and by how many it turns, times 1 − 1/ρ, for a ring that lies ρ
-    // times as far out; how far the first ring lies from the mean of ln |(u, v)| [rings], and that from the middle; the
-    // blur at the middle and what the level has of it, in steps of the taps' variances.
+    // Azimuth of the middle of the part, and the angle by which it turns, times 1 − 1/ρ, for a ring that lies ρ times
+    // as far out. Also the distance of the first ring from the mean of ln |(u, v)| [rings], and that of the mean from
+    // the middle; and the blur at the middle and the part of it that the level has, in steps of the variances of taps.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -77,7 +78,7 @@ struct PolarCovariance {
     float angle_u, angle_v, angle2, ratio2, both;
 };
 
-// What of a covariance of (u, v) goes across it and along it, relative to |(u, v)|; within the narrowest lobe, to its
+// Share of a covariance of (u, v) across it and along it, relative to |(u, v)|, or within the narrowest lobe to its
 // size.
 template <class Table>
 WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, float xx, float xy, float yy)
@@ -215,7 +216,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         parts.ratio2[k] = pixels.ratio2[i];
         parts.both[k] = pixels.both[i];
         if (all > 1) {
-            // Of what is left of the covariance, along the part's own (u, v) and across.
+            // The rest of the covariance, along the (u, v) of the part and across it.
             const PolarCovariance polar =
                 to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
                     pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
@@ -254,8 +255,8 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // What goes with the ratio turns the azimuths from ring to ring; the rest of the angle blurs each of them.
-            // The spline between rings has a variance of a quarter.
+            // The share that is proportional to the ratio turns the azimuths from ring to ring. The rest of the angle
+            // blurs each ring. The spline between rings has a variance of a quarter.
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
@@ -267,7 +268,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Which rings parts sum: their first and last, how far they are apart, and which weights they have.
+// Rings that the parts sum: their first and last index, their distance, and their weights.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
@@ -411,7 +412,7 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// What is found of rings, kept for whole batches on the CPU; a GPU finds it when it is asked for.
+// Results of rings, stored for whole batches on the CPU. A GPU computes each one when it is needed.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;

@@ -81,7 +81,7 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
         face.tangent[c] = pixels.tangent[0][c][i] + share1 * face.tangent1[c] + share2 * face.tangent2[c];
         away[c] = filter.eye[c] - pixels.position[0][c][i] - share1 * edge1[c] - share2 * edge2[c];
     }
-    // What a move in the picture's plane, projected along the view, changes of the shares of corners.
+    // Change of the shares of corners by a move in the plane of the picture, projected along the view.
     cross(edge1, edge2, face.across);
     cross(edge2, face.across, face.of_share1);
     cross(face.across, edge1, face.of_share2);
@@ -123,7 +123,7 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         const float along = dot(face.view, step), through = dot(face.across, step);
         const float share1 = face.scale * (dot(face.of_share1, step) - face.slide1 * through);
         const float share2 = face.scale * (dot(face.of_share2, step) - face.slide2 * through);
-        // What the view changes by, of each axis of the frame.
+        // Change of the view along each axis of the frame.
         const float t_turn = -face.per_unit * (dot(t, step) - along * t_view);
         const float b_turn = -face.per_unit * (dot(b, step) - along * b_view);
         const float n_turn = -face.per_unit * (dot(n, step) - along * n_view);

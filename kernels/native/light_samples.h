@@ -77,7 +77,7 @@ WARPDIFF_INLINE double gain_of(
     return schlick * overlap * overlap * (mask < 1.0 ? mask : 1.0) / (w * w * cos_r * (per_cosine ? cos_i : 1.0));
 }
 
-// Of pixels side by side; gains below the horizon are 0.
+// These functions process pixels side by side. Gains below the horizon are 0.
 template <int N, class Reflection>
 WARPDIFF_INLINE void scatter(
     const LightPlace& light, bool has_directions, const Reflection& reflection, double scale, double horizon,

@@ -1,4 +1,4 @@
-// What a batch of pixels and the faces that their rays have met have, component by component.
+// A batch of pixels and of the faces that their rays hit, component by component.
 
 #pragma once
 

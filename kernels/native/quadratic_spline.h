@@ -6,7 +6,7 @@
 
 namespace warpdiff {
 
-// Of the recursive filter that turns values into the coefficients of the spline through them: 2√2 − 3.
+// Pole of the recursive filter that turns values into the coefficients of the spline through them: 2√2 − 3.
 constexpr float SPLINE_POLE = -0.171572875f;
 
 // Weights of three neighbours, a place away from the middle one.

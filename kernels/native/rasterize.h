@@ -1,5 +1,5 @@
-// Which face each ray of a picture meets first: faces are projected side by side, and then each visits the pixels of
-// its rows one by one, or the cells of split pixels side by side. On the CPU alone; a GPU traces rays.
+// The first face that each camera ray hits. Faces are projected side by side. Then each face visits the pixels of its
+// rows one by one, or the cells of subdivided pixels side by side. Only the CPU uses this; a GPU traces rays.
 
 #pragma once
 
@@ -45,7 +45,8 @@ struct Raster {
     // Distances begin before the sphere around the mesh: a float32 of those from afar would tell no faces apart.
     double before;
     const double* offsets; // of each pixel's ray from the centre; null if all lie there
-    // Of cells: which pixels are split, a bit each in words of 64, and their places; where cells lie about a centre.
+    // Cells: a bit per pixel in words of 64 says which pixels are subdivided. Then come their places, and the places of
+    // cells about a centre.
     const unsigned long long* marks; // null for one ray a pixel
     const int* ranks;
     int cells;
@@ -117,7 +118,7 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
         triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
     }
-    // What two faces find of an edge is the same but for its sign.
+    // Two faces find the same value for an edge, with opposite signs.
     for (int k = 0; k < 3; ++k) {
         const int one = (k + 1) % 3, other = (k + 2) % 3;
         for (int i = 0; i < FACES; ++i) {
@@ -224,7 +225,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
         if (!(triangles.low_row[i] <= triangles.high_row[i] && triangles.low_column[i] <= triangles.high_column[i]))
             continue;
         for (int row = (int)triangles.low_row[i]; row <= (int)triangles.high_row[i]; ++row) {
-            // What of the row may count, with a pixel's width of slack.
+            // The part of the row that may count, with a margin of one pixel.
             double least = triangles.low_column[i], largest = triangles.high_column[i];
             for (int k = 0; k < 3; ++k) {
                 const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];

@@ -21,7 +21,7 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Innermost ring, in the narrow deviations or in deviations of the narrowest lobe, whichever is less, and the least
 // deviation in those of that lobe.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// What of the variance along a ring a level has at most, and how far its azimuths are apart, in deviations.
+// Largest part of the variance along a ring that a level has, and the distance of its azimuths in standard deviations.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian of (u, v): its middle, and the inverse of its covariance.
@@ -135,7 +135,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float nearer = wp::exp(-(float)apart / table.rings_per_log);
     WeighedRows<WIDTH> sum;
     sum.clear();
-    // Of no octave yet.
+    // No octave is cached yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
         // Further in the Gaussian takes up more of a ring.

@@ -29,7 +29,7 @@ struct ShadowPoints {
             const long long k = from + (i < count ? i : 0), at = 3 * k;
             const bool asks = i < count && hit[k] != 0
                 && normals[at] * towards[0] + normals[at + 1] * towards[1] + normals[at + 2] * towards[2] > facing_away;
-            // What is nowhere is in the middle.
+            // A place that is not finite becomes the middle.
             const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
             const double p2 = asks ? origins[at + 2] : 0.0f;
             x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * steps);
@@ -55,7 +55,7 @@ struct ShadowPoints {
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-            // What lies in a face's plane is not to depend on what is beside it and lower.
+            // The result for a point in the plane of a face must not depend on lower faces next to it.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }
@@ -70,7 +70,8 @@ WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, Shado
     const int* const starts = numbers<const int>(grid.starts);
     const int* const faces = numbers<const int>(grid.faces);
     for (int next = starts[here]; next < starts[here + 1];) {
-        // Those that rise above any of the points: told apart without branches, which none could foresee.
+        // Faces that rise above any of the points. They are selected without branches, which no processor could
+        // predict.
         int above[LISTED], count = 0;
         float top[LISTED];
         const int stop = wp::min(next + LISTED, starts[here + 1]);

@@ -114,7 +114,7 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// What samples add to the splines of three rings in a row; it stays in registers from ring to ring.
+// Contributions of samples to the splines of three rings in a row. They stay in registers from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;

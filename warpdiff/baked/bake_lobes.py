@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # Lobes are narrowest where light is bluest: at this wavelength what is narrower hardly shows [µm].
 _BLUE_UM = 0.43
-# Of the tolerance, what functions of w may leave out, and, in relative errors of XYZ for one of ΔE2000, what the table
-# of colours may that is sampled.
+# Share of the tolerance that functions of w may omit. The second number is the relative error of XYZ, per unit of
+# ΔE2000, of the sampled colour table.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
 # So many colours are sampled as a rule, for as long as this at most [s of a core]: a source of 2° over 12.8 µm is told
 # to take 83, and takes 25.
@@ -59,7 +59,8 @@ _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
 _SHOWN, _FLOOR = 0.2, 1e-3
 _BYTES_A_NODE = 170
-# Of deeper relief a power oscillates over more w than can be sampled in a minute [µm].
+# Largest height range that is baked [µm]. Limit: powers of deeper relief oscillate over more w than can be sampled in a
+# minute.
 _MOST_HEIGHT_UM = 12.0
 
 
@@ -127,7 +128,7 @@ def bake(
 
 
 class _Bakery:
-    """What a height field's colours are sampled by, and the directions that judge a table."""
+    """Samplers of a height field's colours, and the directions that validate a table."""
 
     def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance

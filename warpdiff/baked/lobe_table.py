@@ -26,7 +26,7 @@ LARGEST_W = 2.0
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
 MOST_W_BASIS = 16
 _ZEROTH_WAVELENGTHS = 40
-# What a look-up takes, as measured.
+# Memory of a look-up [bytes], as measured.
 _BYTES_PER_LOOK_UP = 400
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
@@ -216,7 +216,7 @@ class BakedLobes(table_files.SavedTable):
         return ZerothOrder(self.zeroth, 0.0, LARGEST_KAPPA, self.coherence)
 
     def _zeroth_order(self, uv: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the mean plane reflects, for a gain of 1, where it is not nothing."""
+        """Reflectance of the mean plane, for a gain of 1, where it is not 0."""
         result = np.zeros((len(uv), 3))
         wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, self.illuminant)
         square = uv[:, 0] ** 2 + uv[:, 1] ** 2

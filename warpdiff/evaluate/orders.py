@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# What a sample of the cell takes, as measured, an order at a wavelength, and its terms.
+# Memory of a sample of the cell, of an order at a wavelength, and of its terms [bytes], as measured.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
 
@@ -166,7 +166,7 @@ def _balance(
     heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
     mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """What normalised efficiencies are of Stam's, for the orders of one light that propagate, (n,)."""
+    """Return the ratio of normalised efficiencies to those of Stam, for the propagating orders of one light, (n,)."""
     if len(orders) > energy_normalisation.MOST_EXACT:
         factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
         return np.asarray(factors / (mirrors @ factors))

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
 _DIRECT_SETTLED = 0.05
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# What a direction takes, as measured, what each of its values at given wavelengths does, and a direction of a map.
+# Memory of a direction, of each of its values at given wavelengths, and of a direction of a map [bytes], as measured.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 

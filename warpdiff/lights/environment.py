@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 
-# Of radiances: squares of colours are float32.
+# Largest radiance. Limit: squares of colours are float32.
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 _DEFAULT_DIRECTIONS = 64
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
-# Of clear skies: far beyond any use, and below the limit of radiances.
+# Largest factor of the sun of a clear sky. Limit: far beyond any use, and below the limit of radiances.
 _MOST_SUN = 1e3
 # Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
 _MOST_PARTS = 4

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceOptics:
-    """What light meets: the reflectance of the surface besides its height field's diffraction.
+    """Optics of the surface besides the diffraction of its height field.
 
     Attributes:
         coherence: The coherence.
@@ -58,7 +58,7 @@ class SurfaceOptics:
 
 
 class PassContext:
-    """What the passes of a picture share: its rays, its surface's optics, and both as kernels read them.
+    """Context that the passes of a picture share: its rays, its surface's optics, and both as kernels read them.
 
     Attributes:
         rays: The camera rays.
@@ -259,7 +259,7 @@ class LightPass(ABC):
     @property
     @abstractmethod
     def graph_key(self) -> tuple[Hashable, ...]:
-        """What the launches depend on: a part of the key of a recorded CUDA graph.
+        """Return the numbers that the launches depend on: a part of the key of a recorded CUDA graph.
 
         A replayed launch reuses the scalar arguments that it was recorded with. Such a number must be in the key, or
         in an array that :meth:`begin` fills.

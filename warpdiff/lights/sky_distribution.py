@@ -83,7 +83,7 @@ def _of_surface(lookup: ColourLookup, illuminated: Sequence[Sequence[Illuminated
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # What a spoke sends is its colour times its area, relative to |(u, v)|² from the first ring on.
+    # The light of an azimuth sample is its colour times its area, relative to |(u, v)|² from the first ring on.
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area

@@ -135,7 +135,7 @@ class Picture:
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """What the launches depend on besides values in arrays, as the key of a recorded CUDA graph."""
+        """Return the key of a recorded CUDA graph: all that the launches depend on besides values in arrays."""
         passes = tuple(light_pass.graph_key for light_pass in self._passes)
         return *passes, self.view.extent_y is None, self.context.casts_shadows
 

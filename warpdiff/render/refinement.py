@@ -100,7 +100,7 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """What the cells of a level set."""
+        """Arrays that the cells of a level set."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
@@ -187,7 +187,7 @@ class TileGroup:
 
 
 class TileExecutor(Protocol):
-    """What shades the tiles that the loop asks for.
+    """Executor that shades the tiles which the loop requests.
 
     Attributes:
         floor: Luminance that errors are relative to at least, (1,).

@@ -291,7 +291,7 @@ class Renderer:
             return
         # Arrays of the last one may go.
         mine.graph = None
-        # What ran once finds its kernels loaded and its arrays and tables made.
+        # A picture that ran once finds its kernels loaded and its arrays and tables made.
         mine.picture.invalidate()
         self._launch(mine)
         mine.picture.invalidate()

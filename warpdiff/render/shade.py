@@ -122,7 +122,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     return picture.image(plan)
 
 
-# What a picture takes while it is made, as measured, of any kind.
+# Memory of a picture of any kind while it is made [bytes], as measured.
 _BYTES_PER_PIXEL = 210
 
 

@@ -43,13 +43,13 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """What the cells of the tiles of a level give, by index in ``sums``."""
+        """Results of the cells of the tiles of a level, by index in ``sums``."""
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
 class _ShadedTiles:
-    """What tiles gave for a coarser tolerance: for a finer one the same tiles would give it again."""
+    """Cache of tiles of a coarser tolerance; the same tiles have the same values for a finer one."""
 
     def __init__(self) -> None:
         # By level: tiles, and what each gave.

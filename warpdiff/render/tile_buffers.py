@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class BufferKind(NamedTuple):
-    """Which arrays tile buffers have.
+    """Kinds of arrays that tile buffers have.
 
     These are gains that a table excludes, base colours, gains of one of several materials, and gains by spectrum.
     """

@@ -22,7 +22,7 @@ _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Of the last lights.
+# Number of cached grids, for the last lights. Limit: memory.
 _MOST_GRIDS = 4
 
 

@@ -42,7 +42,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
             f"another format: {error}"
         ) from error
     if file.suffix.lower() == ".stl":
-        # Of several bodies trimesh merges vertices all the same: their faces would be smooth.
+        # trimesh merges vertices of several bodies regardless, so that their faces would be smooth.
         for geometry in scene.geometry.values():
             geometry.unmerge_vertices()
     for name, data in contents.items():

@@ -240,7 +240,7 @@ def fill(
         if not new.any():
             break
         at += new
-    # What no neighbour reaches takes the whole mesh's mean.
+    # Vertices that no neighbour reaches get the mean of the whole mesh.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 

@@ -51,7 +51,7 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # What a kernel rounds otherwise is within a step or two.
+    # Rounding of the kernel differs by at most one or two steps.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)

@@ -41,7 +41,7 @@ _FEWEST_INTERVALS = 4
 SETS_PER_OCTAVE = 4
 # As measured, while a quadrature is made.
 _BYTES_PER_WAVELENGTH = 370.0
-# Of a material's reflectance, by cos θd: linear between them it errs by 1e-4 at most, near the horizon.
+# Samples of a material's reflectance over cos θd. Linear interpolation has an error of at most 1e-4, near the horizon.
 _ANGLES = 513
 # The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
 # itself and for each thread.
@@ -78,7 +78,7 @@ class CoefficientRange:
 
 @dataclass(frozen=True)
 class CoefficientsKey:
-    """What the coefficients of a height field depend on besides its heights.
+    """Key of the coefficients of a height field: all that they depend on besides its heights.
 
     Attributes:
         block: The coefficients that are kept.
@@ -99,7 +99,7 @@ class CoefficientsKey:
 
 @dataclass(frozen=True)
 class RowsKey:
-    """What the rows of coefficients on a device depend on besides the heights.
+    """Key of the rows of coefficients on a device: all that they depend on besides the heights.
 
     Attributes:
         device: Name of the device.

@@ -126,7 +126,7 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # What the first functions leave out, 0, 1, …, at the |w| where that is most: a call may see no other.
+    # Largest omission of the first 0, 1, … functions over all |w|, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -140,13 +140,13 @@ def make_projection(
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
-    # What reflects nothing, as air does, is black by its ratio to any colour.
+    # A material that reflects nothing, such as air, is black relative to any colour.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Those of the last plan serve all of its illuminants, and any number of functions.
+# The curves of the last plan serve all of its illuminants, and any number of functions.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float

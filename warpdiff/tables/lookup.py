@@ -43,7 +43,7 @@ class ColourLookup:
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
         device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """What a plan computes for a range of directions, with or without the zeroth order, where powers add."""
+        """Prepare what a plan computes for a range of directions, with or without the zeroth order."""
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
         self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}

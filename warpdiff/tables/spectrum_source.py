@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 
 # |κ| of the basis from this share of the largest on: all coefficients but the zeroth order vanish below.
 _SMALLEST_KAPPA = 1e-3
-# What functions of w may leave out where it is most, as a share of the tolerance: cardinal polynomials add up to less
-# than each of them.
+# Share of the tolerance that functions of w may omit at most. Cardinal polynomials sum to less than each of them.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Coefficients that tell how much each term matters, and the least that it matters, relative to the largest.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
@@ -51,7 +50,7 @@ _LINE_RADIUS_SIGMAS = 4.5
 
 @dataclass(frozen=True)
 class SpectrumKey:
-    """What the source of a colour table depends on besides the heights.
+    """Key of the source of a colour table: all that it depends on besides the heights.
 
     Attributes:
         device: Name of the device.

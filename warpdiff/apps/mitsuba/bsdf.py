@@ -25,8 +25,8 @@ import warpdiff as wd
 from warpdiff.core.wording import ArgumentValueError, ref
 
 NAME = "warpdiff"
-# Of the densities directions are drawn from: the share that is even over the disc, so that no lobe is ever missed, and
-# the least and most of the mean plane's.
+# Shares of the densities that directions are drawn from. The even share covers the whole disc, so that no lobe is
+# missed. The others are the least and the largest share of the mean plane.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 # Texels along a side for colours.
 _SIZE = 1024
@@ -72,7 +72,7 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 
 
 class _Table:
-    """What lobes are looked up in, in arrays of Mitsuba's variant.
+    """Table of lobes, in arrays of Mitsuba's variant.
 
     Attributes:
         largest: Of u, v at the grid's edges, over λ in a spectrum.
@@ -102,7 +102,7 @@ class _Table:
         self.zeroth = mi.Texture1f(mi.TensorXf(np.ascontiguousarray(zeroth, dtype=np.float32).reshape(len(zeroth), -1)))
         self.per_cell = (self.size / (2.0 * largest)) ** 2
         power = np.maximum(typical, 0.0)
-        # What lies between cells is looked up linearly: neighbours are drawn as often as the brightest of them.
+        # Values between cells are interpolated linearly, so that a cell is drawn as often as its brightest neighbour.
         for axis in (0, 1):
             power = np.maximum.reduce([np.roll(power, step, axis) for step in (-1, 0, 1)])
         centres = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
@@ -165,7 +165,7 @@ def _spectrum(filename: str) -> _Table:
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # Of density over q, so that all of it adds up to 1.
+    # The density is over q, so that it integrates to 1.
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,

@@ -137,7 +137,7 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # What was scattered is gone with its workers, and cannot be computed again.
+            # Scattered data is lost with its workers, and cannot be computed again.
             if attempt == _RETRIES:
                 raise
         finally:

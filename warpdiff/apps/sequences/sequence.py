@@ -219,7 +219,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
-    """What the folder says of its frames, which go if they are another sequence's."""
+    """Return what a folder records about its frames; frames of another sequence are deleted."""
     path = folder / _MANIFEST
     manifest: dict[str, Any] = {}
     if path.exists():

@@ -59,7 +59,7 @@ _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
 MAP_SIZE = 192
 # Time between two reports of progress [s].
 _REPORT_S = 0.5
-# What environments that share their maps may differ in.
+# Settings in which environments that share their maps may differ.
 _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 # Coverage of a pixel that the body fills.
 _FULL_COVERAGE = 0.999

@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
-# Of a light from the mesh's centre, in radii: its shadow map is one picture of what lies before it.
+# Least distance of a light from the centre of the mesh [radii]. Limit: its shadow map is one picture of the mesh.
 _NEAREST = 1.1
 # Texels along a side of the page's grid over (u, v), and frames that a picture at rest adds up.
 _SIZE, _FRAMES = 1024, 1024
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
 _WAVELENGTHS = 10
-# Of what the mean plane reflects at each of them.
+# Number of entries for the reflectance of the mean plane.
 _ENTRIES_OF_W = 512
 _MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
