@@ -40,7 +40,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
         origin = camera.axes[0] + across
         along = -camera.axes[3]
     along = wp.normalize(along)
-    # The mesh lies in the unit sphere: most rays beside it end here.
+    # The mesh lies in the unit sphere: most rays that miss it end here.
     ahead = -wp.dot(origin, along)
     closest = origin + ahead * along
     if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):

@@ -19,7 +19,7 @@ OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Taps of the interpolation kernel along an axis.
 TAPS = 8
-# Below this argument the copies' factor is its parabola, which errs by the fourth power.
+# Below this argument the copies' factor is its parabola, whose error is of the fourth order.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -68,7 +68,7 @@ class Window:
     across: wp.float32
     along: wp.float32
     slant: wp.float32
-    radius_y: wp.float32  # in coefficients, of what is not left out
+    radius_y: wp.float32  # in coefficients, of coefficients that are not truncated
     radius_x: wp.float32
     shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are the same at all wavelengths
     shrink_x: wp.float32
@@ -117,7 +117,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         origin_x: wp.int32
         length_y: wp.float64  # coefficients per unit of frequency [µm]
         length_x: wp.float64
-        exponent: wp.float32  # coefficients of less weight than exp(−exponent) are left out
+        exponent: wp.float32  # coefficients of less weight than exp(−exponent) are truncated
         across: wp.float32  # the window's, or a source's facing it, at λ = 1 µm
         along: wp.float32
         taps_y: wp.array2d(dtype=wp.float32)  # for copies: polynomials of the interpolation kernel, tap by tap

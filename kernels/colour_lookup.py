@@ -2,7 +2,7 @@
 
 As λ goes from red to blue, (u, v)/λ runs over one octave of an azimuth of the frequency plane. The power spectrum is
 taken on azimuths, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
-ln t, t = |(u, v)|/λ. A colour is then a sum over an octave's rings, with weights that are the projection of the colour
+ln t, t = |(u, v)|/λ. A colour is then a sum over one octave's rings, with weights that are the projection of the colour
 curves on the same splines, however many orders the azimuth passes. Where |(u, v)| takes the same ratios, these weights
 are the same at every ring, and w comes in through a few functions that all share: the sum is done beforehand, and what
 is left of a colour is a spline between rings and azimuths, and a scalar product with the functions at w.
@@ -132,7 +132,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Coefficients of the quadratic spline that passes through an octave's values, and those beyond a turn.
+        """Coefficients of the quadratic spline that passes through one octave's values, and those beyond a turn.
 
         Sums over as many azimuths on either side as the powers of the spline's pole count.
         """

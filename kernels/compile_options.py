@@ -9,7 +9,7 @@ import warp as wp
 
 # Sums over vectors are as long as a table's rows: the first two flags let these be reordered into SIMD lanes. They are
 # the parts of fast-math that do so and leave NaN and infinity defined. The last two make the first picture come sooner:
-# Warp's headers, which each thread that compiles precompiles, take 1.1 s in place of 1.7 without a type that no kernel
+# Warp's headers, which each thread that compiles precompiles, take 1.1 s instead of 1.7 without a type that no kernel
 # has, and a module 0.05 to 0.1 s less when their templates are instantiated beforehand.
 _FLAGS = (
     "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast -DWP_NO_BFLOAT16= -fpch-instantiate-templates"

@@ -1,7 +1,7 @@
 """Footprints of pixels in (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray has met.
 
 The eye's direction, the point of the face's plane, its shading frame and so (u, v) change with the place in the picture
-in closed form. Nothing is asked of the pixels beside, so that nothing leaks over edges, and every ray has its own.
+in closed form. They do not depend on neighbouring pixels, so that nothing leaks over edges, and every ray has its own.
 """
 
 import warp as wp

@@ -17,7 +17,7 @@ MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
 # From this tolerance on, the finest level is one lower: the error that remains is within the tolerance.
 COARSE_TOLERANCE = 0.05
-# Points, which have no filters, begin at this level: nothing else tells how much they differ.
+# Points, which have no filters, begin at this level: nothing else indicates how much they differ.
 LEAST_LEVEL_OF_POINTS = 2
 # Errors of pixels that are not subdivided, relative to the contrast with their neighbours: a bound for 95 of 100
 # pixels. The base share applies where (u, v) is even and changes slowly. Unevenness is the difference between the
@@ -29,7 +29,7 @@ CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # on other bodies and surfaces (docs/decisions/adaptive_sampling.md).
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # Estimated errors fall with this power of the number of cells along an axis, and are so many times the root sum of
-# squares over the nine tiles. Fitted: 95 of 100 pixels err by less.
+# squares over the nine tiles. Fitted: 95 of 100 pixels have a smaller error.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # The error of a mean over samples is taken to be so many of its standard deviations.
 SCATTER_FACTOR = 1.5

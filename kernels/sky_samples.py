@@ -31,10 +31,10 @@ class Sky:
 
 @wp.struct
 class SkyDistribution:
-    """Distribution of directions: rings of (u, v), each of so many spokes, and blocks of the sky."""
+    """Distribution of directions: rings of (u, v), each with its azimuth samples, and blocks of the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)
-    starts: wp.array(dtype=wp.int32)  # of each ring the first spoke, and at last the number of all
+    starts: wp.array(dtype=wp.int32)  # of each ring the first azimuth sample; the last entry is their number
     spoke_cdf: wp.array(dtype=wp.float32)  # within the ring
     densities: wp.array(dtype=wp.float32)  # per ln|(u, v)| and radian; of the first ring, a disc, per area
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc

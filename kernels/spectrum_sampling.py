@@ -1,7 +1,7 @@
 """Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
 Azimuths are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
-t = |(u, v)|/λ. A colour is a sum over an octave's rings, whose weights are the same wherever |(u, v)| takes the same
+t = |(u, v)|/λ. A colour is a sum over one octave's rings, whose weights are the same wherever |(u, v)| takes the same
 ratios: ``colour_lookup`` has the rest.
 """
 
@@ -53,7 +53,7 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
         # Out:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrals of the power spectrum along an azimuth under the splines of an octave's rings.
+        """Integrals of the power spectrum along an azimuth under the splines of one octave's rings.
 
         The first ring lies at the logarithm ``log_low`` of the frequency, and the row of azimuth 0 at ``start``. The
         spectrum is sampled ``divisions`` times from ring to ring, up to the frequency ``highest``, without the
@@ -124,7 +124,7 @@ def gatherer(lanes: int) -> Any:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> Any:
-    """The kernel that sums rows of ``lanes`` terms over an octave's rings, to coefficients of so many functions."""
+    """The kernel that sums rows of ``lanes`` terms over one octave's rings, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
@@ -140,7 +140,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Rows of a few azimuths from one before an octave on, ``length`` of them for each azimuth."""
+        """Rows of a few azimuths from one before one octave on, ``length`` of them for each azimuth."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -162,7 +162,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few azimuths at a time, at the rings of an octave of |(u, v)|.
+        """Colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
 
         Their red end lies in the same octave of frequencies, which has as many azimuths as the next or half of them,
         and their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each azimuth.

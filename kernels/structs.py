@@ -26,7 +26,7 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Where rays lie: in pixels' centres, unless it is told; or cells of some pixels."""
+    """Where rays lie: in pixels' centres or as offsets say; or cells of some pixels."""
 
     tiles: wp.array(dtype=wp.int32)  # pixels whose cells these are, one after the other, −1 is none; empty is off
     places: wp.array(dtype=wp.vec2d)  # where a pixel's cells lie, (right, down) of the centre [pixels]; or empty

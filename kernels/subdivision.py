@@ -72,7 +72,7 @@ def estimate_errors(
 ):  # fmt: skip
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
-    What does not meet the mesh differs in nothing from the pixel beside it, and is black.
+    What does not meet the mesh differs in nothing from its neighbour, and is black.
 
     Args:
         colours: Theirs, of whole rows.
@@ -81,9 +81,9 @@ def estimate_errors(
         width: Pixels in a row.
         floor: What errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split; below 0, all are that
-            meet the mesh or lie beside it.
+            meet the mesh or are next to it.
         all_pixels: Whether all are split, also where only cells may meet the mesh.
-        subdivides_silhouettes: Whether those are beside which the mesh ends.
+        subdivides_silhouettes: Whether pixels at the silhouette of the mesh are.
         first: The first thread's pixel.
         run: How many a thread takes.
         errors_out: 0 where nothing is met.
@@ -119,7 +119,7 @@ def estimate_errors(
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
-            # Nothing tells of a pixel by itself.
+            # A pixel without neighbours is estimated by its own colour.
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:
@@ -257,7 +257,7 @@ def select_levels(
         tolerance: Error relative to the colour, or to the floor, that pixels may have.
         base: The base level.
         most: The finest level.
-        silhouette_level: Least level of tiles beside the mesh's silhouette.
+        silhouette_level: Least level of tiles at the mesh's silhouette.
         first: The first thread's index among ``tiles``.
         run: Number of tiles per thread.
         changes_out: Before, differences of tiles' means from the colours by one ray; after, estimated errors of 2 × 2
@@ -452,7 +452,7 @@ def accumulate(
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add a light's colours, what they err by, and what it reaches, to those of others."""
+    """Add a light's colours, their errors and the pixels it reaches to those of other lights."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

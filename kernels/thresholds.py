@@ -2,7 +2,7 @@
 
 # Directions closer to the horizon than this (0.00006°) count as below it: the gain grows without bound there.
 HORIZON = 1e-6
-# Factors of energy are told down to this cosine, of 88° from the normal; below, they are those there.
+# Factors of energy are computed down to this cosine, of 88° from the normal; below, they are those there.
 LOWEST = 0.0349
 # f: errors of what is darker are relative to so much of Y*.
 FLOOR = 1e-3

@@ -8,8 +8,8 @@ from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Luminances are told apart by the bits of their float32 above so many: sign, exponent, and seven bits of the fraction,
-# a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.
+# Luminances are distinguished by the bits of their float32 above this position: sign, exponent, and seven bits of the
+# fraction, a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)

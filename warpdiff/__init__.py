@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-# In a checkout ``kernels/`` lies beside this package; an installation has it within.
+# In a checkout ``kernels/`` is next to this package; an installation has it within.
 if not Path(__path__[0], "kernels").is_dir():
     __path__.append(str(Path(__path__[0]).parent))
 

@@ -1,8 +1,8 @@
 """
-Blazed grating under a ring of lamps
-====================================
+Blazed grating under a ring of lights
+=====================================
 
-A blazed grating of 2.5 µm on a disc shows the spectrum of each of nine lamps.
+A blazed grating of 2.5 µm on a disc shows the spectrum of each of nine lights.
 """
 
 import math

@@ -1,8 +1,8 @@
 """
-Spectra of lamps
-================
+Spectra of lights
+=================
 
-The same grating under daylight, an incandescent lamp and a fluorescent lamp with lines.
+The same grating under daylight, incandescent light and fluorescent light with lines.
 """
 
 import warpdiff as wd

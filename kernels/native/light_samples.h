@@ -115,7 +115,7 @@ WARPDIFF_INLINE void scatter(
 }
 
 // Scattering vectors of pixels from begin to end. All that meet the mesh have one, whether they are lit or not: those
-// beside them ask how (u, v) changes. `counted` is added to the coverage of those.
+// next to them ask how (u, v) changes. `counted` is added to the coverage of those.
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,

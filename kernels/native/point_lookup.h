@@ -35,7 +35,7 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// The row of a ring of an octave on the first of the three azimuths around an angle, and how far the middle one is.
+// The row of a ring of one octave on the first of the three azimuths around an angle, and how far the middle one is.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {

@@ -1,4 +1,4 @@
-// Mean colours over footprints that are wide beside their distance from the mirror direction, or reach around it.
+// Mean colours over footprints that are wide compared with their distance from the mirror direction, or reach around it.
 //
 // Such a footprint is no range of angles and ratios. Its rows are weighed by the Gaussian of (u, v) itself, at the
 // rings and azimuth samples that it covers. Rows of a mip level are means over arcs of the
@@ -29,7 +29,7 @@ struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// A level for rings of an octave: where its rows are, how far its azimuths are apart [rad], the variance of what lies
+// A level for rings of one octave: where its rows are, how far its azimuths are apart [rad], the variance of what lies
 // on them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
 // variance along the ring on the next one serves.
 struct RingLevel {
@@ -62,7 +62,7 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// The widest level of an octave that serves a variance along the ring. In the next octave inwards levels may be twice
+// The widest level of one octave that serves a variance along the ring. In the next octave inwards levels may be twice
 // as wide, and the one before serves.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
@@ -80,7 +80,7 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows of a ring from one azimuth up to another, which is left out: arcs may touch.
+// Add the rows of a ring from one azimuth up to another, which is excluded: arcs may touch.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)

@@ -16,7 +16,7 @@ constexpr int TAPS = 16, KNOWN_ROWS = 64;
 // branch depends on the place.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // The coefficient that is left out, or a place that none has.
+    // The coefficient that is excluded, or a place that none has.
     int excluded_y, excluded_x;
 
     template <class Table>

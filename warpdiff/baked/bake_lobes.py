@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Rings an octave, and rays in a standard deviation of a lobe, from small to large tables.
+# Rings per octave, and azimuths per standard deviation of a lobe, from small to large tables.
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # Lobes are narrowest where light is bluest: at this wavelength what is narrower hardly shows [µm].
 _BLUE_UM = 0.43
 # Share of the tolerance that functions of w may omit. The second number is the relative error of XYZ, per unit of
 # ΔE2000, of the sampled colour table.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# So many colours are sampled as a rule, for as long as this at most [s of a core]: a source of 2° over 12.8 µm is told
-# to take 83, and takes 25.
+# Usual number of sampled colours, and limit of their time [s of a core]. The estimate for a source of 2° over 12.8 µm
+# is 83 s; it takes 25 s.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Below, both light and view graze, and colours go on as w².
 _SMALLEST_W = 0.06
@@ -58,6 +58,7 @@ _ANGLES, _EACH_NM = 65, 5
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
 _SHOWN, _FLOOR = 0.2, 1e-3
+# Memory of a node of a table [bytes], as measured.
 _BYTES_A_NODE = 170
 # Largest height range that is baked [µm]. Limit: powers of deeper relief oscillate over more w than can be sampled in a
 # minute.
@@ -254,7 +255,7 @@ class _Bakery:
     def _error(self, colours: NDArray[Any]) -> float:
         """Percentile 99 of ΔE2000 of the judges' colours, of those at random or of the bright ones.
 
-        The zeroth order, which is the same for both, is left out.
+        The zeroth order, which is the same for both, is excluded.
         """
         if self._bright <= 0.0:
             return 0.0

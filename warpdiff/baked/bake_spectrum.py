@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
+# Number of entries over κ.
 _ENTRIES = 512
 
 

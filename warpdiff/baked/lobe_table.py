@@ -21,10 +21,13 @@ from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+# Largest |w|: both directions along the normal.
 LARGEST_W = 2.0
 # |κ| of the zeroth order's entries end at that of the largest |w| and the shortest wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
+# Number of functions of w. Limit: registers of shaders.
 MOST_W_BASIS = 16
+# Number of wavelengths of the zeroth order.
 _ZEROTH_WAVELENGTHS = 40
 # Memory of a look-up [bytes], as measured.
 _BYTES_PER_LOOK_UP = 400
@@ -57,7 +60,7 @@ class BakedLobes(table_files.SavedTable):
         functions: f_k at equal steps of |w| from 0 to 2, shape (entries, K), float32; linear in between.
         scale: Magnitude of the largest coefficient.
         exponents: Magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8: 255 is ``scale``, each
-            step less is an eighth of an octave less.
+            step less is an eighth octave less.
         mantissas: Coefficients in 127ths of that magnitude, shape (nodes, 3, K), int8; or in 32767ths, int16, for lobes
             whose brightness varies strongly with w.
         zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
@@ -266,7 +269,7 @@ class BakedLobes(table_files.SavedTable):
 
 
 def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
-    """R(0) of an index of refraction, None for 1.5; 1 of a material, which no index may be given beside."""
+    """R(0) of an index of refraction, None for 1.5; 1 of a material, which excludes an index."""
     if not lobes.has_material:
         return check_reflection(ior, None)[0]
     if ior is not None:

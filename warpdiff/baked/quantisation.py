@@ -13,6 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Steps of an octave's exponent.
 EIGHTHS = 8
 
 

@@ -15,6 +15,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Cells along a side. Limit: memory.
 _MOST_SIZE = 8192
 
 

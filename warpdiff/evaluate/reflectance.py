@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 # The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
 _DIRECT_SETTLED = 0.05
+# Number of wavelengths of the direct method. Limit: seconds per direction.
 _DIRECT_MOST_WAVELENGTHS = 20_000
 # Memory of a direction, of each of its values at given wavelengths, and of a direction of a map [bytes], as measured.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190

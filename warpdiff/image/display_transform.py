@@ -60,14 +60,17 @@ MATRICES = {
 # Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest
 # that light has is 3.96 times that, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
+# Number of hues of the gamut's table.
 _HUES = 1440
 # Above, ACES shows white alone; far above it overflows.
 WHITE = 1024.0
 # Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
 _NODES, TOE = 33, 0.01
+# Number of bisections: 2^-20 of the range is below a 16-bit step.
 _BISECTIONS = 20
 # Colours that a thread looks up at a time.
 _TOGETHER = 8192
+# Least value of a divisor.
 _LEAST = 1e-30
 
 

@@ -37,6 +37,7 @@ _FORMATS = (".exr", ".png")
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # The share of the illuminated pixels that automatic exposure leaves out.
 _TOO_BRIGHT = 1e-4
+# Largest correction of an exposure [stops]. Limit: a factor of 1e9.
 MOST_STOPS = 30.0
 # Memory for reading a file: a sample, and its copy by channel.
 _BYTES_PER_SAMPLE = 8

@@ -47,7 +47,7 @@ class Light(ABC):
 
 
 class LightPart(ABC):
-    """Part of a light that pictures render by itself.
+    """Part of a light that pictures render separately.
 
     Attributes:
         spectra: The illuminants that it consists of.

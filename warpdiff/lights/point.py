@@ -27,8 +27,8 @@ class PointLight(Checked, LobeLight):
 
     Examples:
         >>> import warpdiff as wd
-        >>> lamp = wd.PointLight((0.5, 2.0, 1.0), illuminant="FL11", power=4.0)
-        >>> lamp.power
+        >>> bulb = wd.PointLight((0.5, 2.0, 1.0), illuminant="FL11", power=4.0)
+        >>> bulb.power
         4.0
     """
 

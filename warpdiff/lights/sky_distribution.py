@@ -29,7 +29,7 @@ _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 _WS = (0.8, 1.3, 1.8)
 # Deviation of a look-up's footprint over the size of its cell.
 _WIDTH = 0.4
-# Share of a ring's light that is distributed evenly over its spokes, and of all light over the rings: places that are
+# Share of a ring's light that is distributed evenly over its azimuths, and of all light over the rings: places that are
 # dark at the cosines above may be bright at others.
 _EVEN_SHARE = 0.05
 # Blocks of the sky's grid that are drawn from: so many cells along a side.

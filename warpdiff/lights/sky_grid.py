@@ -41,7 +41,7 @@ class SkyGrid:
         powers: Power per solid angle by spectrum, in the directions of :func:`grid_directions`.
         turn: Rotation about +y [rad].
         directions: Number of directions of each pixel of pictures that are not refined.
-        device_arrays: Arrays of this grid on devices, by the device's name; whoever uploads them puts them here.
+        device_arrays: Arrays of this grid on devices, by the device's name; the upload stores them here.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]

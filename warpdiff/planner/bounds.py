@@ -1,6 +1,6 @@
 """Plan from bounds: numbers that suffice for any surface and for all directions of a range.
 
-Bounds err on the side of accuracy. Calls with few directions are computed by them; a search starts from them and judges
+Bounds are conservative. Calls with few directions are computed by them; a search starts from them and judges
 its results by finer ones.
 """
 
@@ -112,7 +112,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return order_rate, cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
-    # van Cittert and Zernike is in proportion to λ, as they are.
+    # van Cittert and Zernike is in proportion to λ, unchanged.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN

@@ -47,7 +47,7 @@ class Coordinate:
     """A number of a plan that a search changes in steps.
 
     Attributes:
-        source: Field of the plan that holds the error from this coordinate.
+        source: Field of the plan that has the error from this coordinate.
         budget: Error that a plan may have once this coordinate is set.
         most: Largest number of steps.
         coarser: Makes a plan coarser by a number of steps; finer if it is negative.

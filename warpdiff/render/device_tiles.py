@@ -21,7 +21,7 @@ _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor whose device decides by itself; launches find no work where no tile is left.
+    """Tile executor whose device decides on its own; launches find no work where no tile is left.
 
     Attributes:
         floor: Luminance that errors are relative to at least, (1,).

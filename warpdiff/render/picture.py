@@ -95,7 +95,7 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # Sums of a single light, which are the picture's unless means under several lights have to be told apart.
+        # Sums of a single light, which are the picture's unless means under several lights have to be distinguished.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []

@@ -155,7 +155,7 @@ def floor_of(colours: wp.array, illuminated: wp.array) -> float:
 
 
 def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """‖ΔXYZ‖ between pixels and those of the four beside them that differ most, (height, width)."""
+    """‖ΔXYZ‖ between pixels and those of the four neighbours that differ most, (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
         steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)

@@ -111,7 +111,7 @@ class PixelSampler:
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # Each light finds its colours of means by itself; hits count once.
+        # Each light finds its colours of means separately; hits count once.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),

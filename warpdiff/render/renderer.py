@@ -143,7 +143,7 @@ class Renderer:
 
         Args:
             view: The camera that it begins with.
-            refine: As in :func:`warpdiff.shade`; None is as it is here.
+            refine: As in :func:`warpdiff.shade`; None keeps the setting of this renderer.
 
         Returns:
             The other one, whose pictures are those that this one would draw of such views.

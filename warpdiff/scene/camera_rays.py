@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
+# Seed of the samples within a pixel; pictures are reproducible.
 _SEED = 0
 # Numbers of pixels and of faces per slice of a launch on the CPU (fitted: a slice takes a thread about a millisecond).
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048

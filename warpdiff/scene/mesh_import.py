@@ -257,7 +257,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
 
     trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
-    It works them out from the faces' angles, which it then holds as well; where it does, they are told by their value.
+    It computes them from the faces' angles, which it then holds as well; such normals are recognised by their value.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache

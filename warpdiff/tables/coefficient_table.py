@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 # Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
 LANES = 8
+# Least number of wavelengths of a set.
 _FEWEST_WAVELENGTHS = 16
+# Weight below which no neighbour is read.
 _LEAST_EXTENT_WEIGHT = 1e-14
 # The cubics of a patch's power take four samples.
 _FEWEST_INTERVALS = 4

@@ -37,7 +37,7 @@ _LEAST_SCALE = 0.005
 # Colour curves hold a material's reflectance at this cos θd. What it is elsewhere, relative to that, is a sum of
 # products of a function of |(u, v)| and of one of λ and w, which may leave out this share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# Polynomials of cos θd stand for a reflectance, and err by so much. Their roots: the fewest serve metals, and the most
+# Polynomials of cos θd stand for a reflectance, with this error. Their roots: the fewest serve metals, and the most
 # films that resonate next to the horizon.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
 # They hold no less of it than this share of its largest value, as films reflect nothing at some wavelengths.
@@ -65,7 +65,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """A part of an octave's colours: a projection of the spectrum, times a number for each node of |(u, v)|.
+    """A part of one octave's colours: a projection of the spectrum, times a number for each node of |(u, v)|.
 
     Attributes:
         projection: Index of the projection, which octaves may share.
@@ -153,7 +153,7 @@ def _material_products(
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
     """Functions of (w, λ) with how large the numbers that multiply them are at most, and their products by octave.
 
-    The products of an octave add up to R relative to what colour curves hold of it, but for a share, over a range of
+    The products of one octave add up to R relative to what colour curves hold of it, but for a share, over a range of
     |w|. Octaves of small |(u, v)| share a function.
     """
     ws, per_um = _places(rings_per_octave, low, high)
@@ -194,7 +194,7 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Entries of |w| of a range, and 1/λ at the nodes that a colour takes of so many an octave."""
+    """Entries of |w| of a range, and 1/λ at the nodes that a colour uses, of this number per octave."""
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
@@ -218,7 +218,7 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 @functools.lru_cache(maxsize=64)
 def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
-    """Projections of colour curves on the splines of so many nodes an octave.
+    """Projections of colour curves on the splines of this number of nodes per octave.
 
     Args:
         rings: Rings per octave of the table.

@@ -94,7 +94,7 @@ class ColourTable:
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
-        """Fill the rows of levels; ``compute`` writes the values of a level and an octave."""
+        """Fill the rows of levels; ``compute`` writes the values of a level and one octave."""
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
         for level in levels:

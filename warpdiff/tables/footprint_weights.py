@@ -24,6 +24,7 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 _OWN_BLUR_SPACINGS = 1.1
 # A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
+# Number of positions between two nodes for which tap weights are computed.
 _TAP_POSITIONS = 64
 # Variance within one of several parts of a footprint, times their number.
 _VARIANCE_WITHIN_PARTS = 1.2

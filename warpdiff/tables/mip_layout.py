@@ -30,6 +30,7 @@ _LINE_BLUR_SPACINGS = 0.8
 # Azimuth samples of a level that is blurred for footprints, per standard deviation of all its blur; the widest blur of
 # a level [rad].
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
+# Largest blur of a mip level [rad].
 _WIDEST_BLUR_RAD = 0.4
 # Limit: numbers of samples are integers of 64 bits, until a table is refused for its memory.
 _MOST_AZIMUTHS = 2.0**60

@@ -115,7 +115,7 @@ class SpectrumSource(ABC):
             options: Options of ``launch``, among them the device.
 
         Returns:
-            Function of an octave, of a matrix of :attr:`Projection.matrices` on the device, and of the octave's rows.
+            Function of one octave, of a matrix of :attr:`Projection.matrices` on the device, and of the octave's rows.
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
@@ -162,7 +162,7 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Project an octave of samples with the next one."""
+        """Project one octave of samples with the next one."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Space for each azimuth, of which a slice on the CPU only takes that of its first ones: the rest is no memory
         # yet.
@@ -230,7 +230,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Gather the lines of an octave, and of what a colour takes beyond it, and project them."""
+        """Gather the lines of one octave, and of what a colour takes beyond it, and project them."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 

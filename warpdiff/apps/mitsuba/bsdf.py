@@ -32,6 +32,7 @@ _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 _SIZE = 1024
 # |κ| at which the spectrum is sampled, as a share of the range; w at which colours are.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
+# Least cosine of a direction. Limit: the geometry factor diverges at the horizon.
 _LEAST_COSINE = 1e-4
 
 
@@ -233,7 +234,7 @@ def _bsdf_class(table_of: Any) -> Any:
             return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
 
         def _mirror_share(self, cos_i: Any, scale: Any) -> Any:
-            """How often the mean plane's lobe is drawn: as it is seen in the mirror direction."""
+            """How often the mean plane's lobe is drawn: in proportion to its density in the mirror direction."""
             power = self._table.zeroth_at(2.0 * cos_i / scale)
             return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
 

@@ -150,7 +150,7 @@ def _draw(
     job: FrameJob, renderer: Renderer, shots: Sequence[Shot], missing: Sequence[int], client: Any,
     progress: Callable[[float], None],
 ) -> Iterator[tuple[int, dict[str, bytes]]]:  # fmt: skip
-    """Frames that are missing, as they are drawn; this process reports the progress of each of its own."""
+    """Frames that are missing, in the order of rendering; this process reports the progress of each of its own."""
     if client is None:
         frame_renderer = FrameRenderer(renderer)
         for index in missing:
@@ -266,7 +266,7 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
 
 
 def _is_whole(path: Path, shot: Shot) -> bool:
-    """Whether a frame is there with its size and its end, as far as can be told without reading all of it."""
+    """Whether a frame is there with its size and its end, as far as it is known without reading all of it."""
     if not path.is_file():
         return False
     with openimageio.in_use() as oiio:

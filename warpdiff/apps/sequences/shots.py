@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 # Limit: an hour at 24 frames per second; a shot requires some kilobytes.
 MOST_SHOTS = 100_000
+# Limit: more turns are a mistake in the unit.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]

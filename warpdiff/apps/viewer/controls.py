@@ -76,7 +76,7 @@ class Control:
     Attributes:
         option: Type, choices, meaning, unit and default.
         group: Heading that it stands under.
-        label: Text beside it.
+        label: Text next to it.
         slider: Lowest value, highest value and step of a number.
         log: Whether the slider is logarithmic.
         shown_if: Names of other controls, with their values for which this one is shown and has an effect.

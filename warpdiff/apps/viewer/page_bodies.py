@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
 
+# Vertical field of view of the first camera [degrees].
 _FOV_Y_DEG = 25.0
 # Direction from a body to the first camera.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)

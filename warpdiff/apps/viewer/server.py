@@ -46,9 +46,13 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
+# Number of pages that are served. Limit: one thread draws for all.
 MOST_PAGES = 8
+# Size of a message from a page [bytes]. Limit: a request has about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
+# Number of messages that wait for a page. Limit: a page that reads no messages is disconnected.
 _MOST_QUEUED = 12
+# Time until a connection has sent its first request [s].
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")

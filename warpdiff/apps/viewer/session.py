@@ -50,12 +50,14 @@ _MOST_IN_FLIGHT = 2
 # as long as such a picture meets the second limit, which is that of twelve pictures per second.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 _SCALES = (1.0, 0.75, 0.5, 0.375)
+# Least number of pixels of a picture while something moves, if it is drawn in time.
 _LEAST_PIXELS = 320 * 240
 # Number of pictures whose median time predicts the next one's, and the share of the limit that a larger picture may
 # use, so that sizes do not alternate.
 _TIMED, _HEADROOM = 5, 0.8
 # Memory of cached renderers, and of a pixel of theirs, about [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
+# Size of the reflectance map [pixels].
 MAP_SIZE = 192
 # Time between two reports of progress [s].
 _REPORT_S = 0.5
@@ -306,7 +308,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the picture of the next stage as it is drawn."""
+            """Send the picture of the next stage when it is drawn."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()

@@ -45,6 +45,7 @@ _SIZE, _FRAMES = 1024, 1024
 _WAVELENGTHS = 10
 # Number of entries for the reflectance of the mean plane.
 _ENTRIES_OF_W = 512
+# Number of lights of a page. Limit: shadow maps of WebGL.
 _MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
@@ -237,7 +238,7 @@ def _defined_normals(surface: Surface) -> Any:
 
 
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
-    """The lobes as they are baked, their functions of w in fours, and the zeroth order's wavelengths."""
+    """The lobes unchanged, their functions of w in fours, and the zeroth order's wavelengths."""
     arrays.add("exponents", "bytes", np.ascontiguousarray(lobes.exponents.T).tobytes())
     arrays.add(
         "mantissas", lobes.mantissas.dtype.name, np.ascontiguousarray(lobes.mantissas.transpose(1, 2, 0)).tobytes()
