@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FREQUENCY = 2.0 / 0.38
 MOST_REACH = 4
 
-# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights as they are.
+# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights unchanged.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
 # From cheap to accurate, centred and rounded, which is the cheapest way to any error. The nearest coefficient alone is
 # enough of patches that are small against the window.

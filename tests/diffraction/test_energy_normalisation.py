@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """What kernels do to a light, a lamp, and each of a ``Renderer``'s pictures, and NumPy to directions."""
+    """Kernels apply them to directional lights, point lights and a ``Renderer``; NumPy applies them to directions."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]

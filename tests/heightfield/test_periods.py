@@ -121,7 +121,7 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # What follows after the cut goes on as the cut begins.
+    # The first line after the cut matches the line at which the cut begins.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

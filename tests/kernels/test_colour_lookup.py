@@ -66,7 +66,7 @@ def test_native_look_ups_are_those_of_the_specification(coherence, footprints_ar
     # Where rounding decides.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Fractions of spokes and nodes are rounded to a table's 64.
+    # Fractions between azimuth samples and between rings are rounded to the 64 steps of a table.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -191,7 +191,7 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-# Of the plane, two faces reach far behind the eye.
+# Two faces of the plane reach far behind the eye.
 AROUND_THE_EYE = {
     "tube": (meshes.tube(segments_along=24, segments_around=12),
              View((0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50)),
@@ -247,7 +247,7 @@ CELLS = {
 def test_cells_are_found_face_by_face(mesh, view, level, slices):
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
-    # Pixels anywhere, at the picture's border and beside the mesh, too, in any order.
+    # Pixels anywhere, also at the picture's border and outside the mesh, in any order.
     rng = np.random.default_rng(3)
     chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
     cells = pixel_filter.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))

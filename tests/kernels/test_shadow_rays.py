@@ -75,7 +75,7 @@ def points_on(surface, light, count, rng):
 
 
 def occluded(grid, light, origins, threads=1):
-    """What the kernel finds of rays from origins that face the light."""
+    """Return the kernel's result for rays from origins that face the light."""
     places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")

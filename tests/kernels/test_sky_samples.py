@@ -42,7 +42,7 @@ def call_functions(
 
 @pytest.fixture(scope="module")
 def results():
-    """Inputs, and what the functions give for them: a disc and two rings of 4, 8 and 16 spokes, 3 × 6 blocks."""
+    """Inputs and outputs of the functions: a disc and two rings of 4, 8 and 16 sectors, 3 × 6 blocks."""
     rng = np.random.default_rng(5)
     table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
     rings = np.array([0.2, 0.3, 0.5])

@@ -98,7 +98,7 @@ def test_geometries_without_a_material_are_refused(fingers):
 
 
 def test_pigment_lies_under_glass_and_not_under_metal():
-    """What comes through glass is 1 − R twice over, and nothing comes through a metal."""
+    """Light passes glass twice, each time with a factor of 1 − R. No light passes a metal."""
     body = wd.meshes.disc()
     body.visual = trimesh.visual.TextureVisuals(
         uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 60, 30, 255))

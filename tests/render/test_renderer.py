@@ -229,7 +229,7 @@ def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
-    """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
+    """Views are near, far, past the mesh, and from inside, where part of the mesh is behind the eye."""
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
@@ -297,7 +297,7 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     for angle in (0.3, 0.0):
         drawn.draw(rotated(angle)[:count])
         same(drawn.image(), wd.shade(tube, fingers, rotated(angle)[:count], view(), plan=plans[plan], **options))
-    # What was handed out stays as it was.
+    # Images returned earlier stay unchanged.
     same(first, wd.shade(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options))
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
@@ -323,13 +323,13 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # How bright a picture is, by which pixels are told that are to be split, is known to 1 in 128; and rays through
+        # The brightness of a picture, which decides what pixels to split, is known to 1 in 128. Rays through
         # the hierarchy may miss a face at its very edge.
         few = 0.01 if drawn.plan.footprint else 0.0
         assert np.mean(found.illuminated != expected.illuminated) <= few
         assert np.mean(found.coverage != expected.coverage) <= few
         differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # What has settled takes cells of pixels beside it, so that one that is split otherwise changes those around.
+        # Converged pixels use cells of their neighbours, so a pixel that is split differently changes those around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert found.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)

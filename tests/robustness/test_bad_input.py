@@ -191,7 +191,7 @@ PLANS = [
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 
-# What the descriptions of the options do not say.
+# Refusals of ``save`` that the descriptions of its options do not cover.
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),

@@ -34,7 +34,7 @@ def limit(size):
     resource.setrlimit(resource.RLIMIT_AS, (int(size), -1))
 """
 LARGE = """
-# It has holes in place of zeros.
+# The file is sparse: its zeros need no disk space.
 np.lib.format.open_memmap("scan.npy", mode="w+", dtype=np.float32, shape=(20000, 20000))
 limit(4 << 30)
 rough = wd.HeightField(np.resize(np.random.default_rng(0).normal(size=(7, 6000)) * 0.05, (6000, 6000)), 0.05)

@@ -131,7 +131,7 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # Neighbours of less weight than exp(-20) are left out.
+    # Neighbours with a weight below exp(-20) are excluded.
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -194,7 +194,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # A node's number is a multiple of an octave's nodes where an octave begins.
+    # Octaves begin at ring numbers that differ by the number of rings per octave.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -253,7 +253,7 @@ def test_weights_hold_white_and_a_slope(nodes, illuminant):
 
 
 def test_functions_of_w_serve_all_terms():
-    """What a term in κ = w/λ is at every node of a colour comes back from the functions of w that colours share."""
+    """Functions of w, which colours share, reproduce each term in κ = w/λ at every quadrature node of a colour."""
     kappas = (0.5, 5.0)
 
     def basis_at(at):

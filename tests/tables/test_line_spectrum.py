@@ -197,7 +197,7 @@ def test_footprints_widen_the_source(fingers, plan):
 
 
 def test_progress_goes_on_to_the_end_once(fingers, plan, rng):
-    """What the table leaves to sampling does not begin it anew."""
+    """Directions that are sampled instead of looked up do not restart the progress."""
     lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
     shares = []
     wd.reflectance(fingers, lights, views, plan=plan, progress=shares.append)
