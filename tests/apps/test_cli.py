@@ -97,7 +97,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--lights-stay"], lambda lights, view: wd.turntable(lights, view, count=4, lights_follow=False)),
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
-def test_sequences_take_every_kind_of_light(words, expected, monkeypatch, capsys):
+def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
     """Their shots are those of the library's functions."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))

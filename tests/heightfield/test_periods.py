@@ -81,7 +81,7 @@ def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
     assert max(result.harmonics_um) < 0.1
 
 
-def test_waves_of_a_sum_and_waviness_are_told_apart():
+def test_sums_of_waves_and_waviness_are_distinguished():
     heights = (
         0.2 * np.cos(2.0 * np.pi * Y / 7.3)
         + 0.1 * np.cos(2.0 * np.pi * X / 1.23)

@@ -16,7 +16,7 @@ def report(interior, edges, *, refined=True):
                      light_sample_count=1)  # fmt: skip
 
 
-def test_edges_may_err_by_three_times_as_much():
+def test_edges_may_have_three_times_the_error():
     assert report(0.1, 0.1).is_converged
     assert not report(0.3, 0.1).is_converged
     assert report(0.05, 0.3).is_converged

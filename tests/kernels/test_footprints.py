@@ -97,7 +97,7 @@ def test_rays_are_a_circle(fingers, angle_deg):
 
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
-def test_a_colour_does_not_depend_on_those_beside_it(fingers, window, blurred, rng):
+def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
     """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads.
 
     What compilers leave over from vectors they round otherwise: one of two thousand took another row or weight then.

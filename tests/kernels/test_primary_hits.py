@@ -203,7 +203,7 @@ AROUND_THE_EYE = {
 
 @pytest.mark.parametrize(("mesh", "view"), AROUND_THE_EYE.values(), ids=AROUND_THE_EYE)
 @pytest.mark.parametrize("samples", [1, 8])
-def test_what_is_behind_the_eye_is_cut_off(mesh, view, samples):
+def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
     scene = SceneArrays(surface, device="cpu")
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
@@ -281,7 +281,7 @@ def test_cells_are_found_face_by_face(mesh, view, level, slices):
     np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
 
 
-def test_pixels_beside_those_that_are_split_are_left_alone():
+def test_neighbours_of_refined_pixels_stay_unchanged():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)

@@ -156,7 +156,7 @@ def test_turning_the_sky_turns_what_a_mirror_sees(square):
     assert max(shown[0], shown[2]) < 0.05
 
 
-def test_a_sky_is_seen_behind_a_picture(square):
+def test_a_sky_is_visible_behind_a_picture(square):
     along = middles(32)[0]
     sky = wd.Environment(0.5 + 0.5 * along, scale=2.0)
     view = wd.View((0.3, 0.2, 5.0), (0, 0, 0), fov_y_deg=70, width=12, height=8)

@@ -190,7 +190,7 @@ def test_means_are_on_at_any_tolerance(method):
     assert not wd.shade(lumpy(), heightfield, LIGHT, small, coherence=SHORT, footprint=False).plan.footprint
 
 
-def test_what_cells_do_not_settle_is_warned_of(fingers, table):
+def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
     """A body far away, of which a pixel sees thousands of lumps."""
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
@@ -389,7 +389,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
         assert abs(image.coverage.mean() - expected) < away * expected
 
 
-def test_shadows_between_the_centres_of_pixels_are_seen_by_cells(fingers, table):
+def test_cells_detect_shadows_between_pixel_centres(fingers, table):
     """A strip that is not in the picture, and whose shadow no centre of a pixel meets."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))

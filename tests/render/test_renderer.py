@@ -90,7 +90,7 @@ def same(found, expected):
 
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
-def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options):
+def test_pictures_equal_those_of_shade(tube, fingers, plans, name, count, options):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[name], **options)
     for angle in (0.0, 0.4):
         lights, camera = rotated(angle)[:count], view(angle)
@@ -131,7 +131,7 @@ BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
 
 
 @pytest.mark.parametrize("lights", [[SMALL_DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "behind"])
-def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers, plans, lights):
+def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, fingers, plans, lights):
     drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
     told = []
     drawn.draw(previews={0.4: lambda: told.append(told[-1])}, progress=told.append)
@@ -228,7 +228,7 @@ def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
 
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
-def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
+def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
     """Views are near, far, past the mesh, and from inside, where part of the mesh is behind the eye."""
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
@@ -303,7 +303,7 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
 
 
-def test_means_stay_where_no_table_takes_them(tube):
+def test_means_are_kept_without_a_table_for_them(tube):
     heightfield = wd.gratings.blazed(2.5, 0.25)
     options = {"tolerance": 0.5, "coherence": SHORT}
     drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(size=(24, 18)), **options)
@@ -315,7 +315,7 @@ def test_means_stay_where_no_table_takes_them(tube):
 
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
-def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, count, options, recorded):
+def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
     # Large enough for shares of its pixels.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)

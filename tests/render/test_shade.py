@@ -137,7 +137,7 @@ def test_a_light_below_the_horizon_is_none(fingers):
         assert not image.xyz.any()
 
 
-def test_both_sides_are_seen(fingers):
+def test_both_sides_are_visible(fingers):
     """From behind, with the light behind as well, the disc is its own mirror image."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])

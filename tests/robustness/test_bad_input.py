@@ -317,6 +317,6 @@ def test_saving(name, options, error, message, tmp_path):
 
 
 @pytest.mark.parametrize("path", [None, 5, b"out.png"])
-def test_saving_to_what_is_no_path(path):
+def test_saving_refuses_invalid_paths(path):
     with pytest.raises(TypeError, match="path must be a string or a path, got"):
         IMAGE.save(path)

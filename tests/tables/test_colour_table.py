@@ -33,7 +33,7 @@ def truth(heightfield, lights, views, coherence):
 @pytest.mark.parametrize(
     ("kind", "tolerance"), [("averaged", 2e-2), ("centred", 1e-1), slow("averaged", 1e-1), slow("centred", 2e-2)]
 )
-def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
+def test_a_table_meets_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 160), hemisphere(rng, 160)
     options = {"tolerance": tolerance, "coherence": coherence, "method": "low-rank", "integration": "table"}
@@ -47,7 +47,7 @@ def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
-def test_more_nodes_and_rays_err_less(fingers, kind, rng):
+def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 100), hemisphere(rng, 100)
     exact = truth(fingers, lights, views, coherence)
@@ -283,7 +283,7 @@ def test_the_number_of_threads_does_not_matter(fingers, rng):
     np.testing.assert_array_equal(one, wd.reflectance(copy, lights, views, plan=plan, threads=3))
 
 
-def test_many_directions_take_a_table_and_few_do_not(fingers):
+def test_many_directions_use_a_table_and_few_do_not(fingers):
     light = (0.2, 0.1, 1.0)
     few = wd.reflectance_map(fingers, light, size=24, tolerance=1e-1, coherence=SHORT)
     many = wd.reflectance_map(fingers, light, size=400, tolerance=1e-1, coherence=SHORT)
@@ -295,7 +295,7 @@ def test_many_directions_take_a_table_and_few_do_not(fingers):
     assert np.percentile(errors, 99.0) <= 1e-1
 
 
-def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
+def test_a_table_that_cannot_meet_its_tolerance_is_refused(fingers, rng):
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     arguments = {"tolerance": 1e-4, "method": "low-rank", "integration": "table", "coherence": SHORT}
     with pytest.raises(ValueError, match="rings per octave are too few"):
