@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
+# Number of directions that a thread evaluates at once.
 CHUNK = 512
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)| / λ [1/µm]: both directions at the horizon, at 380 nm.
 FREQUENCY = 2.0 / 0.38
+# Limit of ``neighbour_extent``, in coefficients to each side; larger ones are refused.
 MOST_REACH = 4
 
 # As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights unchanged.

@@ -28,6 +28,7 @@ PUBLISHED_TERMS = 37
 DEPTH = 36.0
 # Light that the library counts as darkness, relative to a mirror's.
 DARK = 1e-10
+# Largest number of values in a temporary array.
 CHUNK = 1 << 21
 
 

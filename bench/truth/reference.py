@@ -29,7 +29,9 @@ REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
+# Smallest number of quadrature cells.
 FEWEST_CELLS = 8
+# Limit of cells of a quadrature; beyond it a reference is refused.
 MOST_CELLS = 1 << 19
 # Nodes per look-up of coefficients: few enough that they lie near each other.
 BLOCK = 128

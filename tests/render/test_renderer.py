@@ -133,10 +133,10 @@ BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
 @pytest.mark.parametrize("lights", [[SMALL_DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "behind"])
 def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, fingers, plans, lights):
     drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
-    told = []
-    drawn.draw(previews={0.4: lambda: told.append(told[-1])}, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+    shares = []
+    drawn.draw(previews={0.4: lambda: shares.append(shares[-1])}, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
     found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
                     for each in (lights, lights[::-1]))  # fmt: skip
     same(drawn.image(), found)
