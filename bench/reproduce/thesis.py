@@ -346,7 +346,7 @@ def map_gratings(setup: Setup) -> Table:
 # Renderings.
 
 
-# Factor of the exposure of renderings.
+# Exposure of renderings, relative to that of maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
 # Position on the back at which an order is visible.

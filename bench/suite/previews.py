@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Width of a preview, in pixels.
 WIDTH = 320
-# Exposure of the reference picture in previews.
+# Exposure of previews: value of percentile 99 of the reference luminance.
 EXPOSURE = 5.0
 
 

@@ -38,7 +38,7 @@ MOST = 262_144
 # Without a table, a direction requires a tenth of a millisecond or more.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
-# Largest angle of lights from the normal, in degrees.
+# Largest angle of directions from the normal, in degrees.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
 # Slightly below the pitch that 380 nm and |(u, v)| = 2 require.
