@@ -127,7 +127,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(found):
             for quantile in (50.0, 90.0, 99.0):
-                # Down to what the table errs by.
+                # Down to the error of the table.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 
