@@ -154,7 +154,7 @@ def test_levels_follow_from_second_differences(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # The same holds where neighbouring colours are those of a line.
+    # Levels are 1 where neighbouring colours belong to the line, too.
     assert np.all(levels[4:, :] == 1)
 
 
