@@ -13,7 +13,7 @@ import pytest
 if TYPE_CHECKING:
     import trimesh
 
-# What tests compute is not kept in the user's folder.
+# An empty name disables the disk cache, so that tests do not write to the user's folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
 DATA = Path(os.environ.get("WARPDIFF_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 
@@ -80,7 +80,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_report_header() -> str | None:
-    """What a soak drew from."""
+    """Return the random seed of a soak."""
     return f"seed of the soak: {endurance.SEED}" if endurance.IS_SOAK else None
 
 

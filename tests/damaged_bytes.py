@@ -104,7 +104,7 @@ def mutant(content, rng):
 
 
 def watch(folder, wrong):
-    """Note what is opened beyond the folder, but for Python's modules and what tells how much memory there is."""
+    """Record files opened outside the folder, except Python's modules and those that state the free memory."""
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
 
     def hook(event, arguments):
@@ -137,7 +137,7 @@ def main(kind, seed, count, seconds, folder):
         path = list(sound)[rng.integers(len(sound))]
         path.write_bytes(mutant(sound[path], rng))
         tried += 1
-        # What hangs is killed.
+        # The alarm kills a reader that hangs.
         signal.alarm(MOST_S)
         try:
             read(path)

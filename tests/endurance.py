@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, seed, settings
 _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
-# Of what is drawn at random: another one for each soak.
+# Random seed. Each soak has another one.
 SEED = int(os.environ.get("WARPDIFF_SOAK_SEED", "0"))
 _until = _END
 
@@ -55,7 +55,7 @@ class Tries:
 
 
 def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
-    """Of Hypothesis: others in each soak, and in the test command others with each change of the package alone."""
+    """Set Hypothesis up: a soak draws new examples; the test command does so only when the package changes."""
     chosen = settings(
         max_examples=count(in_tests, in_soak), deadline=None, database=None, suppress_health_check=list(HealthCheck)
     )

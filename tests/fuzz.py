@@ -191,7 +191,7 @@ def _one_of(make):
     return st.deferred(lambda: st.sampled_from(list(make())))
 
 
-# Of arguments that are objects, by name.
+# Strategies for arguments that are objects, by argument name.
 OBJECTS = {
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
     "coherence": _one_of(_coherences), "plan": _one_of(_plans), "shots": st.lists(_one_of(_shots), max_size=3),

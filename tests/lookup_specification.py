@@ -116,7 +116,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def point(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32) -> wp.vec3f:
-        """The colour of a single direction: splines between three rings, and at each between three spokes."""
+        """The colour of a single direction: splines between three rings, and on each between three azimuth samples."""
         octaves = table.azimuths.shape[1]
         place = wp.min(ring_of(table, u, v), wp.float32(octaves * table.rings_per_octave - 2))
         middle = wp.int32(wp.rint(place))
@@ -271,7 +271,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
-        """The mean colour over a wide Gaussian of (u, v): rows at rings and spokes, by its density there."""
+        """The mean colour over a wide Gaussian of (u, v): rows at rings and azimuths, weighted by its density."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
         covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)

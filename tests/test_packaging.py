@@ -1,4 +1,4 @@
-"""What is shipped: wheel, sdist and editable install, used from outside the checkout; and what the package imports."""
+"""The wheel, the sdist and the editable install, used from outside the checkout, and imports of the package."""
 
 import ast
 import functools
@@ -168,7 +168,7 @@ def test_dependencies_are_what_is_imported():
     )
     used = {names.get(name, name) for name in used - sys.stdlib_module_names - {"warpdiff"}}
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
-    # What single commands take is in extras.
+    # Packages that only single commands require are extras.
     extras = PROJECT["optional-dependencies"]
     commands = ("view", "data", "dask", "mitsuba")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
@@ -185,7 +185,7 @@ def test_kernels_are_never_imported_by_their_folder():
 def test_a_plain_import_is_light():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
-    # What knows no device starts without Warp; nothing starts with what only some calls take.
+    # Code without a device does not import Warp. No start imports packages that only some calls require.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan"
     code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"

@@ -137,7 +137,7 @@ def coated_metal() -> Any:
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# What is compared of a result.
+# Values of a result that are compared.
 
 
 def image_values(image: Any) -> Values:
@@ -316,7 +316,7 @@ def loaded_sky(threads: int) -> Values:
 
 
 def materials_by_geometry(threads: int) -> Values:
-    """A coated metal and a dielectric, each on its geometry, under lamps of two spectra."""
+    """A coated metal and a dielectric, each on its geometry, under lights of two spectra."""
     materials = {"tube": coated_metal(), "box": wd.Material.dielectric(1.7)}
     lights = [ABOVE, wd.DirectionalLight((1.0, 1.0, 0.5), illuminant=wd.Spectrum.blackbody(2900.0))]
     image = wd.shade(

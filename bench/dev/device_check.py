@@ -38,6 +38,7 @@ WAYS: dict[str, dict[str, Any]] = {
 ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 BESIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 NEAR = wd.PointLight((1.2, 1.4, 0.4), power=2.0)
+# Relative change of a direction or position, about its float32 rounding.
 TURN = 2e-7
 QUANTILES = (0.5, 0.99, 0.999)
 

@@ -43,11 +43,12 @@ from warpdiff.tables import coefficient_table
 
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 DIRECTIONS, PLANNED = 128, 40_000
+# Smallest cosine of directions that are drawn: 85° from the normal.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
-PITCH_UM = 0.09
+PITCH_UM = 0.09  # of the synthetic surfaces
 # Wavelength sets: quarter octaves; sets below the kernel's ladder are equal for all directions.
 FEWER = (8, 10, 11, 13)
 # Bandwidths: share of the constant in quarter octaves, and split of the rest between (u, v) and w.
@@ -57,8 +58,10 @@ MORE_TERMS, MORE_EXPONENTS = 3, 5
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
 # Methods and settings whose least predicted cost exceeds the best one by this factor are excluded.
 HOPELESS = 1.6
-TIMED = 4
+TIMED = 4  # candidates that are timed
+# Largest number of directions of one timing.
 MOST_TIMED = 4096
+# Number of assignments that are evaluated at once.
 CHUNK = 64
 
 

@@ -46,6 +46,7 @@ CLOCKS = ("wall", "cpu")
 FEWEST_ROUNDS = 6
 # Seconds of calls per wheel, row and round, and limits of their number.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
+# Number of directions of a timed call.
 DIRECTIONS = 100_000
 
 COLD_START = """

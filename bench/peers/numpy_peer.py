@@ -1,7 +1,7 @@
 """The published algorithm in plain NumPy.
 
 Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks, large enough that
-the interpreter's time is small beside NumPy's, side by side on threads, as NumPy releases the interpreter's lock.
+the interpreter's time is small compared with NumPy's. Threads run in parallel, as NumPy releases the lock.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
+# Number of directions that a thread evaluates at once.
 CHUNK = 512
 
 

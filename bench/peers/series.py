@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)| / λ [1/µm]: both directions at the horizon, at 380 nm.
 FREQUENCY = 2.0 / 0.38
+# Limit of ``neighbour_extent``, in coefficients to each side; larger ones are refused.
 MOST_REACH = 4
 
-# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights as they are.
+# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights unchanged.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
 # From cheap to accurate, centred and rounded, which is the cheapest way to any error. The nearest coefficient alone is
 # enough of patches that are small against the window.

@@ -37,12 +37,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
+# Number of diffraction orders to each side.
 ORDERS = 7
 # Wavelengths of the order 0, and nodes of an order's power in κ = w/λ.
 MIRROR_WAVELENGTHS, NODES = 8, 128
+# Largest |w| / λ, in 1/µm, at the shortest wavelength of 0.38 µm.
 LARGEST_KAPPA = 2.0 / 0.38
 # Where the parabolas stand on 2λ − 1, λ [µm], and how narrow they are.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
+# Number of random directions that calibrate the brightness.
 CALIBRATING = 2000
 
 

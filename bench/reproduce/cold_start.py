@@ -27,6 +27,7 @@ PICTURE = HIDE + (
     "image.save(Path(sys.argv[1]) / 'first.png'); import time; print(time.monotonic())"
 )
 
+# Number of repetitions of each measurement.
 ROUNDS = 5
 PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,

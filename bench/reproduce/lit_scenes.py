@@ -2,7 +2,7 @@
 
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``: errors of a picture in tolerances against sums
 over directions with shadows (``bench/truth/sky_sums.py``), processor time over that of one directional light, how many
-pixels err by more than the tolerance, and how many of these ``image.error`` reports. ``lights`` rows, such as
+pixels have an error above the tolerance, and how many of these ``image.error`` reports. ``lights`` rows, such as
 ``tube_scan_16lights``, are judged by the sum of single pictures at an eighth of the tolerance.
 """
 
@@ -45,7 +45,7 @@ def plate() -> trimesh.Trimesh:
 
 
 def room() -> np.ndarray:
-    """Return a dark room with three windows and lamps, which differ in colour and brightness."""
+    """Return a dark room with three windows and light bulbs, which differ in colour and brightness."""
     height = 128
     elevation = 90.0 - (np.arange(height)[:, None] + 0.5) * 180.0 / height
     around = (np.arange(2 * height) + 0.5) * 180.0 / height
@@ -151,13 +151,13 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
     at = tuple(places[settled].T)
     bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
     errors = distances(image.xyz[at], exact[settled], bright) / tolerance
-    told = image.error[at] / tolerance
+    reported = image.error[at] / tolerance
     p50, p90, p99 = np.percentile(errors, [50.0, 90.0, 99.0])
     share = image.xyz[at][:, 1].sum() / exact[settled][:, 1].sum()
     print(
         f"| {case} | {settled.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
-        f"{share:.3f} | {np.count_nonzero(errors > 1.0)} | {np.count_nonzero(told[errors > 1.0] > 1.0)} | "
-        f"{np.mean(errors <= told):.2f} |", flush=True,
+        f"{share:.3f} | {np.count_nonzero(errors > 1.0)} | {np.count_nonzero(reported[errors > 1.0] > 1.0)} | "
+        f"{np.mean(errors <= reported):.2f} |", flush=True,
     )  # fmt: skip
 
 

@@ -40,6 +40,7 @@ MORE_TERMS = (8, 16, 24, 32, 37, 48)
 MOST_REACH = {"averaged": 3, "centred": 4}
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
+# Tolerance of the reference.
 TRUTH = 1e-3
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 

@@ -39,7 +39,9 @@ if TYPE_CHECKING:
 WAVELENGTHS = np.arange(380.0, 781.0)
 # The report, without its tables.
 TEXT = Path(__file__).with_suffix(".md")
+# Angle of incidence, in degrees from the normal.
 INCIDENCE_DEG = 75.0
+# Step of the viewing angles, in degrees; 0.4 nm at a wavelength of 380 nm.
 GRID_DEG = 0.0025
 # Search range of an order, as factors on the expected period: neighbouring orders look like half of it.
 SOUGHT = 1.3
@@ -51,6 +53,7 @@ PUBLISHED = {
     ("scan", "full"): "1144.262 (0.401)",
     ("scan", "periods"): "1052.308 (49.678)",
 }
+# Published period of the scan, in nm.
 PUBLISHED_SCAN_NM = 1144.262
 CENTRED, SEAM = wd.Coherence("centred"), wd.Coherence("centred", centre_um=(0.0, 0.0))
 FLOOR = "3 × 3 by floor, on the seam"
@@ -343,6 +346,7 @@ def map_gratings(setup: Setup) -> Table:
 # Renderings.
 
 
+# Exposure of renderings, relative to that of maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
 # Position on the back at which an order is visible.

@@ -31,10 +31,13 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
+# Truncation error of the series.
 ACCURACY = 1e-6
 # Coefficients on either side of the nearest at which the sinc is truncated.
 SINC_REACH = 3
+# Standard deviation of the window, in µm.
 SIGMA_UM = 16.25
+# Number of directions that are evaluated at once.
 CHUNK = 1 << 15
 
 

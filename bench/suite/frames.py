@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
 SEED, CROPS = 90, 4
+# Tolerance of the plans of point samples and of the reference.
 TABLE = 1e-2
 
 

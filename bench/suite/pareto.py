@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
+# Number of directions whose error is measured; a quarter with ``--quick``.
 JUDGED = 300
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
+# Width of a preview, in pixels.
 WIDTH = 320
+# Exposure of previews: value of percentile 99 of the reference luminance.
 EXPOSURE = 5.0
 
 

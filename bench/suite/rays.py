@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
+# Number of random rays whose hits are checked.
 JUDGED = 1000
 
 

@@ -38,6 +38,7 @@ SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "faces": ("along", (16, 64, 256, 512), "faces of the mesh"),
     "threads": ("threads", (1, 2, 4, 8, 16), "threads"),
 }
+# Number of frames that are timed.
 FRAMES = 5
 
 

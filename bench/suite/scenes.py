@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+# Refractive index of the surface.
 IOR = 1.5
 # Width of the pictures whose pixels are timed.
 WIDTH = 960

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
+# Tolerance of the requests.
 TOLERANCE = 1e-2
 # All points of a regime.
 ALL = slice(None)

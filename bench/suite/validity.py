@@ -42,6 +42,7 @@ ANGLES = (0.0, 30.0, 60.0)
 # efficiencies jump (Rayleigh's anomalies); chance brings few surfaces nearer.
 PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
+# Number of height samples per period.
 SAMPLES = 2048
 # Unit of the stored efficiencies.
 UNIT = 1e-5
@@ -49,6 +50,7 @@ UNIT = 1e-5
 LIMIT = 0.1
 LEVELS = (0.02, 0.05, 0.1)
 DENSE = np.geomspace(1e-3, 3.0, 400)
+# Wavelength, in nm; periods and depths are relative to it.
 WAVELENGTH_NM = 500.0
 
 

@@ -38,6 +38,7 @@ MOST = 262_144
 # Without a table, a direction requires a tenth of a millisecond or more.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
+# Largest angle of directions from the normal, in degrees.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
 # Slightly below the pitch that 380 nm and |(u, v)| = 2 require.
@@ -45,6 +46,7 @@ COARSEST_PITCH_UM = 0.0945
 # The reference sums a replicated patch sample by sample, and its lobes one by one.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
+# Largest angle of a map's light from the normal, in degrees.
 MAP_LIGHT_DEG = 75.0
 
 

@@ -28,7 +28,7 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
             index = np.interp(1e3 * wavelengths, layer.wavelengths_nm, layer.n) + 1j * np.interp(
                 1e3 * wavelengths, layer.wavelengths_nm, layer.k
             )
-            # What is normal to the surface of the wave vector, of the sign that decays.
+            # Component of the wave vector normal to the surface, with the sign that decays.
             normal = np.sqrt(index**2 - along**2 + 0j)
             normal = np.where(normal.imag < 0.0, -normal, normal)
             normals.append(normal)

@@ -25,6 +25,7 @@ from warpdiff.planner import trial
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+# Number of illuminated directions that are sampled.
 COUNT = 2000
 # Least number of bright directions among them, if there are as many.
 BRIGHT = 600

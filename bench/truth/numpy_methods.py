@@ -24,22 +24,23 @@ SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
 # Number of terms of the published shader, n = 0 … 36.
 PUBLISHED_TERMS = 37
-# A window's Gaussian is left out where it is below exp(−this).
+# A window's Gaussian is truncated where it is below exp(−DEPTH).
 DEPTH = 36.0
 # Light that the library counts as darkness, relative to a mirror's.
 DARK = 1e-10
+# Largest number of values in a temporary array.
 CHUNK = 1 << 21
 
 
 def best_effort(call, *args, **keywords):
-    """What a library call returns whether or not it can reach its tolerance."""
+    """Return the result of a library call, also if it cannot meet its tolerance."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         return call(*args, **keywords, strict=False)
 
 
 def outcome(call, *args, **keywords):
-    """What a strict library call returns, and its refusal or warnings in one string, empty where there is none."""
+    """Return the result of a strict library call, and its refusal or warnings as one string, empty if none."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         try:

@@ -29,7 +29,9 @@ REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
+# Smallest number of quadrature cells.
 FEWEST_CELLS = 8
+# Limit of cells of a quadrature; beyond it a reference is refused.
 MOST_CELLS = 1 << 19
 # Nodes per look-up of coefficients: few enough that they lie near each other.
 BLOCK = 128
@@ -146,7 +148,7 @@ class Coefficients:
             # The width in λ is in proportion to λ; the nearest coefficients may lie a few widths beyond the direction.
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # Of centred windows too: the power of a sum of Gaussians holds products of two.
+            # This holds for centred windows too, as the power of a sum of Gaussians contains products of two.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -380,7 +382,7 @@ def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illum
         return result
     sums = sum_for(heightfield, step, scattering_vectors, 0.38, 0.78)
     for index, (scattering_vector, light) in enumerate(zip(scattering_vectors, to_light, strict=True)):
-        # What is returned resolves everything, so that nothing narrow falls between its nodes unseen: it is the finer
+        # The result resolves everything, so that nothing narrow falls between its nodes: it is the finer
         # one of two that agree. Numbers of cells are powers of 2, so that few quadratures are ever made.
         largest, least = sums.resolution(scattering_vector, light)
         cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)

@@ -97,7 +97,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--lights-stay"], lambda lights, view: wd.turntable(lights, view, count=4, lights_follow=False)),
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
-def test_sequences_take_every_kind_of_light(words, expected, monkeypatch, capsys):
+def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
     """Their shots are those of the library's functions."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
@@ -166,7 +166,7 @@ def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # Of a window that takes seconds less to plan for.
+    # Planning for this window is faster by seconds.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out
@@ -336,12 +336,12 @@ def test_warnings_are_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
 
 
-# Pictures of 18 pixels across.
+# Pictures 18 pixels wide have larger errors.
 TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_fingers(fingers, *, size_um, pitch_um):
-    """Those of a patch a sixth as wide."""
+    """Return fingers on a patch a sixth as wide."""
     return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
 
 
@@ -354,7 +354,7 @@ def rough(compute, *scene, **options):
 def test_demo_without_the_data(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
-    # Of a grating, a window and a tolerance that take seconds less.
+    # A smaller grating, window and tolerance save seconds.
     monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
     for name in ("shade", "reflectance_map"):
         monkeypatch.setattr(demo, name, functools.partial(rough, getattr(demo, name)))

@@ -73,7 +73,7 @@ def test_a_mirror_shows_the_colours_of_the_sky():
 def test_a_mirror_within_a_wide_disc_sends_what_the_lobe_does():
     light = wd.DirectionalLight(tuple(AXIS), power=2.0, angular_diameter_deg=10.0)
     found = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
-    # Of 4πσ²/λ² times the reflectance, the sum over directions is 1.
+    # The sum over directions of 4πσ²/λ² times the reflectance is 1.
     um = 1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1)
     products = colorimetry.colour_products("D65")
     lobe = um**2 @ products / products[:, 1].sum() / (4.0 * math.pi * SIGMA_UM**2)

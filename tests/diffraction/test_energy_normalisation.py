@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """What kernels do to a light, a lamp, and each of a ``Renderer``'s pictures, and NumPy to directions."""
+    """Kernels apply them to directional lights, point lights and a ``Renderer``; NumPy applies them to directions."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -81,7 +81,7 @@ def test_normalised_maps_are_reciprocal_and_say_what_they_are():
     assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
 
 
-def test_a_wavelength_by_itself_is_what_it_is_among_others():
+def test_a_single_wavelength_equals_the_same_one_among_others():
     heightfield, views = SURFACES["fingers"](), [at(10.0, 60.0), at(50.0, -30.0), at(45.0, 200.0)]
     options = {"coherence": WINDOW, "ior": math.inf, "energy": "normalised", "tolerance": 1e-3}
     wide = np.array([350.0, *np.arange(400.0, 701.0, 25.0), 800.0])

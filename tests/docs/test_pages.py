@@ -1,4 +1,4 @@
-"""Pages of the documentation: their Python runs as it is printed, and their links lead to files."""
+"""Pages of the documentation: their Python code runs unchanged, and their links lead to files."""
 
 import re
 from pathlib import Path

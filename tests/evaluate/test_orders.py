@@ -143,7 +143,7 @@ def test_reciprocity(rng):
         assert back[tuple(order)][0] == pytest.approx(efficiency, rel=1e-9)
 
 
-def test_orders_beyond_the_samples_are_told():
+def test_orders_beyond_the_samples_are_reported():
     with pytest.warns(wd.WarpdiffWarning, match="9 propagate along x, but 12 samples represent half as many"):
         wd.order_efficiencies(wd.gratings.sinusoidal(5.0, 0.1, samples=12), (0, 0, 1), 500.0)
 

@@ -104,7 +104,7 @@ def test_the_periodic_part_solves_moisans_equation() -> None:
     laplacian = sum(np.roll(smooth, s, a) for s in (1, -1) for a in (0, 1)) - 4.0 * smooth
     np.testing.assert_allclose(laplacian[1:-1, 1:-1], 0.0, atol=1e-15)
     assert abs(smooth.mean()) < 1e-16
-    # What matches already stays: equal edges, and a single sample across.
+    # Fields whose edges match stay unchanged: equal edges, and a single sample across.
     for same in (np.zeros((4, 5)), np.array([[1.0, 2.0, 1.0]])):
         np.testing.assert_allclose(HeightField(same, 1.0).periodic().heights_um, same, atol=1e-15)
 

@@ -16,7 +16,7 @@ SHAPE = (50, 60)
 Y, X = np.meshgrid(np.arange(SHAPE[0]) * PITCH[0], np.arange(SHAPE[1]) * PITCH[1], indexing="ij")
 # A disc away from the edges.
 GAP = np.hypot(Y - 2.0, X - 2.6) < 0.75
-# What an instrument writes where it has no signal.
+# Height that an instrument writes where it has no signal.
 NO_SIGNAL = 1000.0
 
 

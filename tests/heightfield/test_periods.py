@@ -81,7 +81,7 @@ def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
     assert max(result.harmonics_um) < 0.1
 
 
-def test_waves_of_a_sum_and_waviness_are_told_apart():
+def test_sums_of_waves_and_waviness_are_distinguished():
     heights = (
         0.2 * np.cos(2.0 * np.pi * Y / 7.3)
         + 0.1 * np.cos(2.0 * np.pi * X / 1.23)
@@ -121,7 +121,7 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # What follows after the cut goes on as the cut begins.
+    # The first line after the cut matches the line at which the cut begins.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

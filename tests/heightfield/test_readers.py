@@ -126,7 +126,7 @@ def test_what_an_image_reader_says_may_be_no_text(tmp_path, monkeypatch):
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
         HeightField.load(tmp_path / "a.png", pitch_um=0.1)
-    # What nobody asked for is printed when the process ends.
+    # OpenImageIO prints errors that were not read when the process ends.
     monkeypatch.undo()
     oiio.geterror()
 
@@ -180,7 +180,7 @@ def test_saved_fields_are_restored_exactly(tmp_path: Path, make: Callable[[], He
     assert again.heights_um.tobytes() == field.heights_um.tobytes()
     assert (again.pitch_um, again.shape) == (field.pitch_um, field.shape)
     np.testing.assert_array_equal(again.missing, field.missing)
-    # An existing file is replaced, and nothing lies beside it.
+    # An existing file is replaced, and no other file remains.
     noise((2, 2)).save(path)
     assert HeightField.load(path).shape == (2, 2)
     assert list(tmp_path.iterdir()) == [path]
@@ -229,7 +229,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
         except ValueError as error:
             refused += str(error).startswith(f"path: '{damaged}'")
         else:
-            # What was damaged was a time, say: the numbers have a checksum.
+            # The damage was elsewhere, for example in a time: the numbers have a checksum.
             np.testing.assert_array_equal(again.heights_um, field.heights_um)
             refused += 1
     assert refused == 300

@@ -1,4 +1,4 @@
-"""What displays show: colour-science's conversions, hues of bands of light, bounds, tables."""
+"""Display transforms: colour-science's conversions, hues of bands of light, bounds, tables."""
 
 import os
 import subprocess
@@ -45,7 +45,7 @@ def displayed(encoded):
 
 
 def hue_errors(encoded, bands):
-    """Errors of hue against the colours themselves, and the largest step between bands beside each other [°]."""
+    """Return hue errors against the colours, and the largest step between neighbouring bands [°]."""
     hues = hues_deg(displayed(encoded))
     return apart_deg(hues, hues_deg(bands)), float(apart_deg(hues[..., 1:], hues[..., :-1]).max())
 
@@ -99,7 +99,7 @@ def test_compression_leaves_what_is_not_vivid_and_keeps_lightness_and_hue(bands)
     before, after = transform.oklab(flat), transform.oklab(transform.compress_chroma(flat))
     np.testing.assert_allclose(after[:, 0], before[:, 0], rtol=1e-9)
     assert apart_deg(hues_deg(flat), hues_deg(transform.compress_chroma(flat))).max() < 1e-6
-    # What is more vivid stays more vivid.
+    # More vivid colours stay more vivid.
     share = np.linspace(0.0, 1.0, 50)[:, None, None]
     scaled = before * np.concatenate([np.ones_like(share), share, share], axis=2)
     lab = transform.oklab(transform.compress_chroma(transform.of_oklab(scaled).reshape(-1, 3))).reshape(scaled.shape)

@@ -45,7 +45,7 @@ def image(plan, rng) -> wd.Image:
 
 
 def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
-    """Header and samples, as they are in the file."""
+    """Return the header and the unconverted samples of a file."""
     source = oiio.ImageInput.open(str(path), straight_alpha())
     assert source is not None, oiio.geterror()
     spec = source.spec()
@@ -185,7 +185,7 @@ def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
     whole = np.ones((2, 2), np.float32)
     dim = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     assert read(dim.save(tmp_path / "a.png"))[1].min() > 100
-    # Of light that is brighter by 1e24, the same exposure leaves white, and EXR stays finite.
+    # If the light is brighter by 1e24, the same exposure gives white, and EXR stays finite.
     bright = wd.Image(xyz=1e24 * xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     assert read(bright.save(tmp_path / "b.png", exposure_from=dim))[1].min() == 255
     assert np.isfinite(read(bright.save(tmp_path / "b.exr", exposure_from=dim, exposure_stops=30.0))[1]).all()

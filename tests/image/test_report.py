@@ -16,7 +16,7 @@ def report(interior, edges, *, refined=True):
                      light_sample_count=1)  # fmt: skip
 
 
-def test_edges_may_err_by_three_times_as_much():
+def test_edges_may_have_three_times_the_error():
     assert report(0.1, 0.1).is_converged
     assert not report(0.3, 0.1).is_converged
     assert report(0.05, 0.3).is_converged
@@ -43,6 +43,6 @@ def test_nothing_is_promised_without_refinement():
 def test_errors_are_percentiles_of_illuminated_pixels():
     error = np.arange(1000, dtype=np.float32).reshape(20, 50)
     lit = error < 101.0
-    told = report_of(error, lit, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
-    assert told.errors == pytest.approx((50.0, 99.0))
+    result = report_of(error, lit, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
+    assert result.errors == pytest.approx((50.0, 99.0))
     assert report_of(error, lit & False, None, tolerance=0.1, refined_share=0.0, light_sample_count=3).errors == (0, 0)

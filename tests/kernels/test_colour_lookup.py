@@ -33,7 +33,7 @@ def directions(rng):
 @pytest.mark.parametrize(
     "coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)], ids=lambda c: c.kind
 )
-def test_native_look_ups_are_those_of_the_specification(coherence, footprints_are_given, rng):
+def test_native_look_ups_equal_those_of_the_specification(coherence, footprints_are_given, rng):
     heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
     scattering_vectors, to_lights, gains, footprints = directions(rng)
     plan = wd.plan(heightfield, coherence=coherence, method="low-rank", integration="table", tolerance=1e-1)
@@ -66,7 +66,7 @@ def test_native_look_ups_are_those_of_the_specification(coherence, footprints_ar
     # Where rounding decides.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Fractions of spokes and nodes are rounded to a table's 64.
+    # Fractions between azimuth samples and between rings are rounded to the 64 steps of a table.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -165,7 +165,7 @@ def test_shade_is_that_of_the_cpu(cuda):
     assert np.percentile(relative_errors(result.xyz[both], expected.xyz[both]), 99.0) < 1e-2
 
 
-def test_replayed_pictures_are_those_of_shade(cuda):
+def test_replayed_pictures_equal_those_of_shade(cuda):
     mesh = wd.meshes.tube(segments_along=64, segments_around=32)
     heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)

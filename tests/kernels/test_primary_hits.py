@@ -191,7 +191,7 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-# Of the plane, two faces reach far behind the eye.
+# Two faces of the plane reach far behind the eye.
 AROUND_THE_EYE = {
     "tube": (meshes.tube(segments_along=24, segments_around=12),
              View((0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50)),
@@ -203,7 +203,7 @@ AROUND_THE_EYE = {
 
 @pytest.mark.parametrize(("mesh", "view"), AROUND_THE_EYE.values(), ids=AROUND_THE_EYE)
 @pytest.mark.parametrize("samples", [1, 8])
-def test_what_is_behind_the_eye_is_cut_off(mesh, view, samples):
+def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     surface = prepare_surface(mesh, tangents=np.tile([0.3, 1.0, 0.2], (len(mesh.vertices), 1)))
     scene = SceneArrays(surface, device="cpu")
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
@@ -247,7 +247,7 @@ CELLS = {
 def test_cells_are_found_face_by_face(mesh, view, level, slices):
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
-    # Pixels anywhere, at the picture's border and beside the mesh, too, in any order.
+    # Pixels anywhere, also at the picture's border and outside the mesh, in any order.
     rng = np.random.default_rng(3)
     chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
     cells = pixel_filter.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))
@@ -281,7 +281,7 @@ def test_cells_are_found_face_by_face(mesh, view, level, slices):
     np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
 
 
-def test_pixels_beside_those_that_are_split_are_left_alone():
+def test_neighbours_of_refined_pixels_stay_unchanged():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)

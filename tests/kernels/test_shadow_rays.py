@@ -75,7 +75,7 @@ def points_on(surface, light, count, rng):
 
 
 def occluded(grid, light, origins, threads=1):
-    """What the kernel finds of rays from origins that face the light."""
+    """Return the kernel's result for rays from origins that face the light."""
     places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
@@ -130,7 +130,7 @@ def test_faces_leave_no_gap_where_they_meet(rng):
             assert not np.any(occluded(grid, light, places + 0.3 * light))
 
 
-def test_pixels_do_not_hide_those_beside_them(rng):
+def test_pixels_do_not_hide_their_neighbours(rng):
     # Points in the plane of a sheet are not hidden by it, whatever lies below them in the same cell.
     sheet = lid(2.0)
     for _ in range(4):
@@ -207,7 +207,7 @@ def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_pictures_are_those_of_the_hierarchy(samples, monkeypatch):
+def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
     mesh = meshes.tube(segments_along=24, segments_around=16)
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights = [wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))]

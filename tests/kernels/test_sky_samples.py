@@ -42,7 +42,7 @@ def call_functions(
 
 @pytest.fixture(scope="module")
 def results():
-    """Inputs, and what the functions give for them: a disc and two rings of 4, 8 and 16 spokes, 3 × 6 blocks."""
+    """Inputs and outputs of the functions: a disc and two rings of 4, 8 and 16 sectors, 3 × 6 blocks."""
     rng = np.random.default_rng(5)
     table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
     rings = np.array([0.2, 0.3, 0.5])
@@ -91,7 +91,7 @@ def test_cells_follow_a_morton_curve(results):
     assert np.all(np.ptp(indices.reshape(16, 8, 16, 8), axis=(1, 3)) == 63)
 
 
-def test_places_are_drawn_as_often_as_their_density_tells(results):
+def test_points_are_drawn_in_proportion_to_their_density(results):
     given, computed = results
     radius = np.hypot(*computed["drawn_uv"].T)
     ring = np.where(radius < 0.25, 0, 1 + (np.log(radius / 0.25) * 2.0 / math.log(3.0)).astype(int))
@@ -108,7 +108,7 @@ def test_places_are_drawn_as_often_as_their_density_tells(results):
     assert (radius**2 * per_density).mean() == pytest.approx(0.5 * math.pi * farthest**4, rel=0.01)
 
 
-def test_directions_are_drawn_as_often_as_their_density_tells(results):
+def test_directions_are_drawn_in_proportion_to_their_density(results):
     given, computed = results
     drawn = computed["drawn"]
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-6)

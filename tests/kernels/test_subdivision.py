@@ -105,7 +105,7 @@ def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
 
 
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
-    """What ``select_levels`` finds of a picture whose tiles all have cells, tile by tile."""
+    """Compute the levels of ``select_levels`` tile by tile, for a picture whose tiles all have cells."""
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
     square = np.zeros(cells.shape[:2])
@@ -154,7 +154,7 @@ def test_levels_follow_from_second_differences(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # Where the colours beside are a line's, too.
+    # Levels are 1 where neighbouring colours belong to the line, too.
     assert np.all(levels[4:, :] == 1)
 
 

@@ -13,7 +13,7 @@ from warpdiff.kernels.structs import Pixels
 from warpdiff.lights.base import LobeSet
 from warpdiff.lights.lobe_pass import LobePass
 
-# What a light of one's own takes.
+# Kernels of a user-defined light.
 
 
 @wp.kernel

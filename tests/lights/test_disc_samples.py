@@ -170,7 +170,7 @@ def test_a_penumbra_is_the_share_of_the_disc_that_an_edge_leaves():
 
 
 def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
-    """A blazed grating on a disc: of single directions its table errs by more than the tolerance, and says so."""
+    """A blazed grating on a disc: its table for single directions exceeds the tolerance, and a warning says so."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
         image = wd.shade(wd.meshes.disc(), blazed, light, VIEW, coherence=SHORT, tolerance=3e-2, pigment=0.0)
@@ -180,7 +180,7 @@ def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # That of single directions is told to be 0.09, and samples scatter.
+    # The reported error of single directions is 0.09, and samples add noise.
     assert np.median(errors) < 0.06
     assert errors.max() < 0.2
 

@@ -74,7 +74,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
 
 
 def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
-    # Of 1.4° a pixel, linear between them, so that the sun reaches as far to all sides.
+    # The sky has 1.4° per pixel and is interpolated linearly, so that the sun extends equally to all sides.
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=3.0)
     spectrum, per_luminance = spectrum_of_a_sky(3.0)
     row, column, view = 50, 130, seen_at(20.0)
@@ -156,7 +156,7 @@ def test_turning_the_sky_turns_what_a_mirror_sees(square):
     assert max(shown[0], shown[2]) < 0.05
 
 
-def test_a_sky_is_seen_behind_a_picture(square):
+def test_a_sky_is_visible_behind_a_picture(square):
     along = middles(32)[0]
     sky = wd.Environment(0.5 + 0.5 * along, scale=2.0)
     view = wd.View((0.3, 0.2, 5.0), (0, 0, 0), fov_y_deg=70, width=12, height=8)
@@ -253,7 +253,7 @@ def test_a_window_on_a_tube_is_that_of_sums_over_directions():
         away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # What is wrong is told, to a factor of two.
+        # Where the error is above 0.1, the picture reports at least half of it.
         assert (found.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 

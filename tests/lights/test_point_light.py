@@ -107,7 +107,7 @@ def test_too_much_light_is_refused(fingers):
         wd.shade(square(), fingers, bright, VIEW, **OPTIONS)
 
 
-def test_what_stands_beyond_the_light_hides_nothing(fingers):
+def test_shadow_rays_stop_at_the_light(fingers):
     scene = trimesh.Scene([square(), square(height=2.0, size=0.4)])
     view = wd.View.orthographic((3.0, 0.4, 4.0), (0, 0, 0), extent_y=0.3, width=4, height=3)
     below, above = (

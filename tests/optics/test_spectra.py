@@ -67,7 +67,7 @@ def test_an_even_spectrum_is_illuminant_e_in_calls_and_pictures():
     np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-3, atol=1e-6)
 
 
-def test_leds_and_lamps_go_by_their_names():
+def test_light_sources_are_selected_by_name():
     assert white("LED-B1")[1] == pytest.approx(1.0)
     assert white("Kinoton 75P")[1] == pytest.approx(1.0)
 

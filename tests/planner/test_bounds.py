@@ -18,7 +18,7 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 def ratio(heightfield, lights, views, tolerance, **options):
     """The error over the tolerance."""
     with warnings.catch_warnings():
-        # Of the model, which serves no such surface.
+        # Warnings that the model is invalid for such a surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         assert not wd.plan(heightfield, lights, views, tolerance=tolerance, **options).is_measured
     xyz = wd.reflectance(heightfield, lights, views, tolerance=tolerance, **options)
@@ -36,7 +36,7 @@ def line_grating(levels, period_um):
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_third_orders_of_a_shallow_sine(rng, tolerance):
-    """Their powers grow as κ⁶, and grazing views see the low end of κ: in float32 powers err by themselves."""
+    """Powers of third orders grow as κ⁶. Grazing views use the low end of κ, where float32 powers are inaccurate."""
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)

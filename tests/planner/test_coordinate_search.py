@@ -251,7 +251,7 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Whole steps of a fourth of an octave from those for a tolerance of 1e-2, and powers of e."""
+    """Bandwidths differ from those for a tolerance of 1e-2 by whole quarter octaves, and weights by powers of e."""
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
     ]

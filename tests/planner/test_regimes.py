@@ -132,7 +132,7 @@ def test_automatic_choice_towards_the_horizon(elevation, spread):
 
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
-def test_a_mirror_far_brighter_than_what_is_seen(count, seed):
+def test_a_mirror_far_brighter_than_the_visible_directions(count, seed):
     """All that is seen at the horizon is a millionth of the mirror, whose Gaussian's tail must not show.
 
     Powers cancel there, too: few directions, which are else not searched for, must not keep their series.
@@ -235,7 +235,7 @@ def test_a_window_between_samples_close_to_the_limit(seed, side):
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])
 @pytest.mark.parametrize("away", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 0.0])
-def test_copies_near_resonance(periods, away):
+def test_replicated_periods_near_resonance(periods, away):
     heightfield, wavelength = methods.finger_rows(6.4, pitch_um=0.08), np.array([0.5])
     coherence = wd.Coherence("replicas", periods=(1, periods))
     lights, views = methods.near_resonance(heightfield, away, 0.5)
@@ -263,7 +263,7 @@ def test_copies_near_resonance(periods, away):
         assert plain > 0.1
 
 
-def test_the_published_form_of_copies():
+def test_the_published_form_of_replicated_periods():
     """The design's figures, of angles wT: 5 % off at 1e-3, nothing at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
@@ -297,7 +297,7 @@ def test_few_orders_do_not_make_a_patch():
     assert np.abs(seven / exact - 1.0).max() > 10.0 * np.abs(every / exact - 1.0).max()
 
 
-def test_too_many_copies_are_refused_with_the_remedy():
+def test_too_many_periods_are_refused_with_the_remedy():
     lights, views = methods.in_plane(4, 1.8)
     with pytest.raises(ValueError, match=r"periods=\(1, 100000\) of .*wavelengths.*fewer periods"):
         wd.reflectance(

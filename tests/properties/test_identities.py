@@ -1,4 +1,4 @@
-"""What must hold whatever the height field: reciprocity, symmetry, invariance, energy, direction of reflection."""
+"""Identities that hold for every height field: reciprocity, symmetry, invariance, energy, direction of reflection."""
 
 import math
 

@@ -13,7 +13,7 @@ from bench.truth.numpy_methods import outcome
 SETTINGS = settings(
     derandomize=True, deadline=None, max_examples=25, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
-# What may be refused: light that no table serves, a tolerance that is out of reach. All else must be computed.
+# Messages of permitted refusals: no table serves the light, or the tolerance is out of reach.
 REFUSALS = ("crop the height field", "heights are in µm", "so fine that a colour requires", "cannot meet tolerance")
 
 
@@ -65,7 +65,7 @@ reciprocal = coherences.filter(lambda each: each.kind != "source")
 
 
 def computed(call, *arguments, **keywords):
-    """What a call returns; None if it is refused for a reason that is known."""
+    """Return the values of a call, or None if it is refused for a known reason."""
     values, message = outcome(call, *arguments, **keywords, strict=False)
     if values is None:
         event("refused")

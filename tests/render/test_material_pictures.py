@@ -17,7 +17,7 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
 @pytest.mark.parametrize(
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
-def test_a_table_of_a_material_keeps_its_tolerance(name, coherence, tolerance, fingers, rng):
+def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
     """cos θd is |(u, v, w)|/2, so that R(θd, λ) is within the integral over λ that a table holds."""
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
@@ -31,7 +31,7 @@ def test_a_table_of_a_material_keeps_its_tolerance(name, coherence, tolerance, f
 
 
 @pytest.mark.slow
-def test_copies_of_gold_keep_their_tolerance(fingers, rng):
+def test_replicated_periods_of_gold_meet_their_tolerance(fingers, rng):
     heightfield, coherence = fingers.cropped(4.0), wd.Coherence("replicas", periods=(3, 5))
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     found = wd.reflectance(heightfield, lights, views, coherence=coherence, material=GOLD)
@@ -98,7 +98,7 @@ def test_geometries_without_a_material_are_refused(fingers):
 
 
 def test_pigment_lies_under_glass_and_not_under_metal():
-    """What comes through glass is 1 − R twice over, and nothing comes through a metal."""
+    """Light passes glass twice, each time with a factor of 1 − R. No light passes a metal."""
     body = wd.meshes.disc()
     body.visual = trimesh.visual.TextureVisuals(
         uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 60, 30, 255))

@@ -83,12 +83,12 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Those of pixels inside, relative as the tolerance is."""
+    """Return errors of inner pixels, relative as the tolerance is."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
 
-def test_pictures_keep_their_tolerance(truth, fingers, table):
+def test_pictures_meet_their_tolerance(truth, fingers, table):
     mesh, camera, exact = truth
     for tolerance in (1e-1, 3e-2):
         image = wd.shade(mesh, fingers, LIGHT, camera, plan=dataclasses.replace(table, tolerance=tolerance))
@@ -100,25 +100,25 @@ def test_pictures_keep_their_tolerance(truth, fingers, table):
         assert f"meets its tolerance of {tolerance:g}" in str(image.report).splitlines()[0]
 
 
-def test_errors_are_told(truth, fingers, table):
-    """Those of pixels of one ray and of pixels that are split until they are alike, together."""
+def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
+    """Errors of pixels with one ray and of refined pixels are judged together."""
     mesh, camera, exact = truth
-    found, told = [], []
+    true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
         plan = dataclasses.replace(table, tolerance=tolerance)
         image = wd.shade(mesh, fingers, LIGHT, camera, plan=plan, refine=refine)
         assert not image.error[~image.illuminated].any()
         assert image.report.errors[0] < image.report.errors[1]
-        found.append(errors(image, exact))
-        told.append(image.error[exact[2]])
-    found, told = np.concatenate(found), np.concatenate(told)
-    assert np.mean(found <= told) > 0.95
-    ranks = [np.argsort(np.argsort(each)) for each in (found, told)]
+        true.append(errors(image, exact))
+        reported.append(image.error[exact[2]])
+    true, reported = np.concatenate(true), np.concatenate(reported)
+    assert np.mean(true <= reported) > 0.95
+    ranks = [np.argsort(np.argsort(each)) for each in (true, reported)]
     assert np.corrcoef(*ranks)[0, 1] > 0.5
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """And a pixel of points, of which no table takes means, comes as close."""
+    """Pixels summed over points, for which no table supports means, are as accurate."""
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
         found = [
@@ -127,7 +127,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(found):
             for quantile in (50.0, 90.0, 99.0):
-                # Down to what the table errs by.
+                # Down to the error of the table.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 
@@ -164,12 +164,12 @@ def test_unrefined_pixels_have_the_cells_that_were_asked_for(fingers, table):
 
     expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
     assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
-    # What cells meet in the corner of a pixel that is beside none whose centre meets the mesh is left out.
+    # Cells are not traced in pixels without a neighbour whose centre meets the mesh, which loses little coverage.
     np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
 
 
-def test_where_no_table_takes_means_points_do(fingers):
-    """By whatever method, under any coherence: a mean is never left out without a word."""
+def test_pictures_without_a_table_for_means_sum_points(fingers):
+    """Requested means are computed from points where no table supports them."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
@@ -190,7 +190,7 @@ def test_means_are_on_at_any_tolerance(method):
     assert not wd.shade(lumpy(), heightfield, LIGHT, small, coherence=SHORT, footprint=False).plan.footprint
 
 
-def test_what_cells_do_not_settle_is_warned_of(fingers, table):
+def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
     """A body far away, of which a pixel sees thousands of lumps."""
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
@@ -200,15 +200,15 @@ def test_what_cells_do_not_settle_is_warned_of(fingers, table):
     assert "does not meet its tolerance of 0.001 everywhere" in str(image.report).splitlines()[0]
 
 
-def test_edges_are_told_apart_from_what_is_inside(truth, fingers, table):
-    """A pixel is inside if all points of its own square meet the mesh and are lit."""
+def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
+    """A pixel is inside if all points of its own square meet the mesh and are illuminated."""
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
     edges = renderer._mine.picture._cropped(renderer._mine.picture._sums.edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
-    # Some are crossed by so little that none of 16 cells tells.
+    # In some edge pixels the edge is so near the border that none of 16 cells detects it.
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
@@ -250,7 +250,7 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # Each light by itself is refined to the tolerance, and together they are to their sum's.
+    # Single lights are refined to their own tolerance, and all lights together to that of their sum.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -277,12 +277,12 @@ def test_cells_stand_for_the_filter(level, means):
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
 
-# Of the filter, what a pixel that is aslant has over what one beside has.
+# Filter weight of a diagonal neighbour over that of a horizontal or vertical one.
 ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def estimate_by_hand(colours, uv, hit, floor, bound):
-    """What ``estimate`` finds of a picture, pixel by pixel."""
+    """Compute the result of ``estimate`` pixel by pixel."""
     height, width = hit.shape
     found, wanted, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
@@ -295,7 +295,7 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # Nothing tells of a pixel by itself.
+                # A pixel without such neighbours has no estimate, so its own colour counts.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):
@@ -319,9 +319,9 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
 @pytest.mark.parametrize("slices", [1, 6])
-def test_errors_are_estimated_by_those_beside(size, slices, rng):
+def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
-    # Some rows see nothing at all, and here and there (u, v) goes on as it did.
+    # Some rows miss the mesh, and (u, v) changes irregularly at some pixels.
     hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
     y, x = np.mgrid[: size[0], : size[1]]
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
@@ -357,13 +357,13 @@ def test_lights_that_add_nothing_dilute_nothing(fingers, table):
 
 
 def test_progress_ends_when_pixels_are_split(fingers, table):
-    told = []
+    shares = []
     fine = dataclasses.replace(table, tolerance=1e-2)
-    image = wd.shade(BODIES["lumpy"](), fingers, LIGHT, view("lumpy"), plan=fine, progress=told.append)
+    image = wd.shade(BODIES["lumpy"](), fingers, LIGHT, view("lumpy"), plan=fine, progress=shares.append)
     assert image.report.refined_share > 0.0
-    assert told == sorted(told)
-    assert sum(0.3 < each < 1.0 for each in told) >= 2
-    assert told[-1] == 1.0
+    assert shares == sorted(shares)
+    assert sum(0.3 < share < 1.0 for share in shares) >= 2
+    assert shares[-1] == 1.0
 
 
 def test_more_cells_than_there_are_are_refused(fingers):
@@ -371,7 +371,7 @@ def test_more_cells_than_there_are_are_refused(fingers):
         wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=4097)
 
 
-def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table):
+def test_cells_detect_details_between_pixel_centres(fingers, table):
     """Bars of a third of a pixel's width, one in 5.3 pixels."""
     bars = [
         trimesh.Trimesh(
@@ -389,7 +389,7 @@ def test_what_lies_between_the_centres_of_pixels_is_seen_by_cells(fingers, table
         assert abs(image.coverage.mean() - expected) < away * expected
 
 
-def test_shadows_between_the_centres_of_pixels_are_seen_by_cells(fingers, table):
+def test_cells_detect_shadows_between_pixel_centres(fingers, table):
     """A strip that is not in the picture, and whose shadow no centre of a pixel meets."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))

@@ -90,7 +90,7 @@ def same(found, expected):
 
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
-def test_pictures_are_those_of_shade(tube, fingers, plans, name, count, options):
+def test_pictures_equal_those_of_shade(tube, fingers, plans, name, count, options):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[name], **options)
     for angle in (0.0, 0.4):
         lights, camera = rotated(angle)[:count], view(angle)
@@ -131,12 +131,12 @@ BEHIND = wd.DirectionalLight((0.0, -0.62, -1.0), power=3.0)
 
 
 @pytest.mark.parametrize("lights", [[SMALL_DISC, LIGHTS[1]], [BEHIND, LIGHTS[0]]], ids=["disc", "behind"])
-def test_progress_goes_on_and_the_order_of_lights_is_of_no_account(tube, fingers, plans, lights):
+def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, fingers, plans, lights):
     drawn = wd.Renderer(tube, fingers, lights, view(), plan=plans["footprints"], pigment=0.0)
-    told = []
-    drawn.draw(previews={0.4: lambda: told.append(told[-1])}, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+    shares = []
+    drawn.draw(previews={0.4: lambda: shares.append(shares[-1])}, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
     found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
                     for each in (lights, lights[::-1]))  # fmt: skip
     same(drawn.image(), found)
@@ -228,8 +228,8 @@ def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
 
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
-def test_nothing_is_left_of_a_larger_picture(tube, fingers, plans, name):
-    """Near, far, beside the picture, and from within, where some of the mesh is behind the eye."""
+def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
+    """Views are near, far, past the mesh, and from inside, where part of the mesh is behind the eye."""
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
@@ -297,13 +297,13 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     for angle in (0.3, 0.0):
         drawn.draw(rotated(angle)[:count])
         same(drawn.image(), wd.shade(tube, fingers, rotated(angle)[:count], view(), plan=plans[plan], **options))
-    # What was handed out stays as it was.
+    # Images returned earlier stay unchanged.
     same(first, wd.shade(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options))
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
 
 
-def test_means_stay_where_no_table_takes_them(tube):
+def test_means_are_kept_without_a_table_for_them(tube):
     heightfield = wd.gratings.blazed(2.5, 0.25)
     options = {"tolerance": 0.5, "coherence": SHORT}
     drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(size=(24, 18)), **options)
@@ -315,7 +315,7 @@ def test_means_stay_where_no_table_takes_them(tube):
 
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
-def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, count, options, recorded):
+def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
     # Large enough for shares of its pixels.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
@@ -323,13 +323,13 @@ def test_replayed_pictures_are_those_of_shade(painted, fingers, plans, name, cou
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # How bright a picture is, by which pixels are told that are to be split, is known to 1 in 128; and rays through
+        # The brightness of a picture, which decides what pixels to split, is known to 1 in 128. Rays through
         # the hierarchy may miss a face at its very edge.
         few = 0.01 if drawn.plan.footprint else 0.0
         assert np.mean(found.illuminated != expected.illuminated) <= few
         assert np.mean(found.coverage != expected.coverage) <= few
         differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # What has settled takes cells of pixels beside it, so that one that is split otherwise changes those around.
+        # Converged pixels use cells of their neighbours, so a pixel that is split differently changes those around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert found.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)

@@ -117,7 +117,7 @@ def test_lights_add(snake, fingers):
     # One plan, for the wavelengths follow from the directions of all lights of a call.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # Each light by itself is refined to the tolerance, and together they are to their sum's.
+    # Single lights are refined to their own tolerance, and all lights together to that of their sum.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -137,7 +137,7 @@ def test_a_light_below_the_horizon_is_none(fingers):
         assert not image.xyz.any()
 
 
-def test_both_sides_are_seen(fingers):
+def test_both_sides_are_visible(fingers):
     """From behind, with the light behind as well, the disc is its own mirror image."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])
@@ -355,7 +355,7 @@ def test_nothing_is_black_nan_or_negative(name, request):
     # A window as short as the fingers leaves no gap between orders that float32 could call zero.
     coherence = wd.Coherence("averaged", 1.2)
     light = wd.DirectionalLight((0.4, 0.9, 0.7))
-    # Rays of pixels' centres alone: parts of those beside the light's edge are lit.
+    # Rays pass through pixel centres only. Pixels at the light's edge are partly illuminated.
     image = wd.shade(mesh, heightfield, light, view, coherence=coherence, pigment=0.0, tolerance=0.1, refine=False)
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0

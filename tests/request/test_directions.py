@@ -1,4 +1,4 @@
-"""Which directions of a call are looked at."""
+"""Selection of the directions of a call that the planner evaluates."""
 
 import numpy as np
 import pytest

@@ -88,7 +88,7 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # What was measured may be smaller for the larger tolerance, where neither plan could be smaller.
+        # Measured values may be smaller for the larger tolerance, where neither plan could be smaller.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -383,7 +383,7 @@ def test_a_coarse_pitch_is_said_to_alias(rough):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
-    # What the pitch supports is not warned of, and longer wavelengths are supported further.
+    # Directions that the pitch supports give no warning. The range is wider for longer wavelengths.
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
     wd.plan(rough, method="direct")
@@ -481,7 +481,7 @@ def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
 
 
 def test_a_maps_pixels_may_be_means(rough):
-    """Of a grid of directions each, with their share of the disc as coverage."""
+    """Each pixel is the mean over a grid of directions. Its coverage is the share of them on the disc."""
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
     means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)

@@ -191,7 +191,7 @@ PLANS = [
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 
-# What the descriptions of the options do not say.
+# Refusals of ``save`` that the descriptions of its options do not cover.
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
@@ -317,6 +317,6 @@ def test_saving(name, options, error, message, tmp_path):
 
 
 @pytest.mark.parametrize("path", [None, 5, b"out.png"])
-def test_saving_to_what_is_no_path(path):
+def test_saving_refuses_invalid_paths(path):
     with pytest.raises(TypeError, match="path must be a string or a path, got"):
         IMAGE.save(path)

@@ -44,7 +44,7 @@ def no_image(folder):
 
 
 def too_large(folder):
-    # Of one bit a pixel, which packs well; Pillow refuses twice its limit.
+    # One bit per pixel compresses well. Pillow refuses images of twice its limit.
     Image.new("1", (20_000, 20_000)).save(folder / "paint.png")
 
 

@@ -111,7 +111,7 @@ def test_a_child_may_be_the_first_to_draw():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# Of those that begin from nothing, one process shows it.
+# One process is enough for methods that start a fresh interpreter.
 @pytest.mark.parametrize(("method", "processes"), [("fork", 2), ("spawn", 1), ("forkserver", 1)])
 def test_pools_of_any_method_draw_the_same(method, processes):
     angles = (0.0, 0.3)
@@ -207,7 +207,7 @@ def refused():
         return "'spawn'" in str(error)
 
 before = oiio.get_int_attribute("exr_threads")
-# The fork waits for it, whoever else comes meanwhile, ...
+# The fork waits for a short call, also if others begin meanwhile, ...
 short = within(lambda: time.sleep(0.5))
 assert t.in_child(used) == 0
 # ... but not for ever.
@@ -278,7 +278,7 @@ _THREADS_AT_FORK = """
 import os
 import OpenImageIO as oiio
 
-# What is registered first is called last.
+# Functions registered first are called last.
 os.register_at_fork(before=lambda: counts.append(len(os.listdir("/proc/self/task"))))
 import warpdiff.core.openimageio
 

@@ -60,7 +60,7 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
 @pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS names no folder of meshes")
 def test_models_of_others_are_rendered_or_refused(tries, rng):
-    # What is no mesh is refused as well.
+    # Files that are not meshes are refused as well.
     for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
         if "texture coordinates" in render(path):
             render(path, tangents=tangents_for(path, rng))

@@ -34,7 +34,7 @@ def limit(size):
     resource.setrlimit(resource.RLIMIT_AS, (int(size), -1))
 """
 LARGE = """
-# It has holes in place of zeros.
+# The file is sparse: its zeros need no disk space.
 np.lib.format.open_memmap("scan.npy", mode="w+", dtype=np.float32, shape=(20000, 20000))
 limit(4 << 30)
 rough = wd.HeightField(np.resize(np.random.default_rng(0).normal(size=(7, 6000)) * 0.05, (6000, 6000)), 0.05)
@@ -111,7 +111,7 @@ else:
 @pytest.mark.parametrize(
     "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
 )
-def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
+def test_requests_larger_than_memory_are_refused_at_once(code, tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", SETTING + code], cwd=tmp_path,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=60, check=False,
@@ -119,7 +119,7 @@ def test_what_does_not_fit_is_refused_at_once(code, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_allocations_that_fail_are_told_in_the_librarys_words():
+def test_failed_allocations_raise_the_messages_of_the_library():
     message = r"it requires another \S+ GB at once, and \S+ GB are free: take less"
     with pytest.raises(MemoryError, match=message), memory.as_memory_error("it", "take less"):
         np.empty(10**15)
@@ -167,7 +167,7 @@ def test_tables_of_very_small_sources_are_refused():
             )
 
 
-def test_wavelengths_of_very_many_copies_are_refused(monkeypatch):
+def test_wavelengths_of_very_many_periods_are_refused(monkeypatch):
     heightfield = wd.gratings.sinusoidal(1.0, 0.1)
     plan = wd.plan(
         heightfield, (0, 0, 1), (0.3, 0, 1), coherence=wd.Coherence("replicas", periods=(1, 100)), tolerance=0.2

@@ -78,7 +78,7 @@ def load(folder):
 
 
 @pytest.mark.parametrize("kind", ["obj", "gltf"])
-def test_files_beside_the_mesh_are_read(folder, kind):
+def test_files_in_the_folder_of_the_mesh_are_read(folder, kind):
     Image.new("RGB", (2, 3), (200, 30, 30)).save(folder / "paint.png")
     (folder / "paint.mtl").write_text(MTL.format("paint.png"))
     (folder / f"mesh.{kind}").write_text(OBJ.format("paint.mtl") if kind == "obj" else gltf())

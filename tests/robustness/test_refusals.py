@@ -398,7 +398,7 @@ def test_refusals_name_the_users_word(row):
     assert "\n" not in message.strip()
     assert not re.search("[\ue000-\uf8ff]", message)
     if row.front != "python":
-        # What the user wrote, and what may be written, stays as it is.
+        # Text quoted from the user and lists of valid parameters are exempt.
         prose = re.sub(r"'[^']*'|but its parameters are .*", "", message)
         assert not {word for word in PYTHON_ONLY.findall(prose) if word not in row.request}
 

@@ -18,7 +18,7 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 @pytest.fixture(autouse=True)
 def _default_handlers():
-    """What runs tests in the background may ignore signals, as nohup does, and processes inherit that."""
+    """Set default handlers: programs such as nohup ignore signals, and their child processes inherit that."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -39,7 +39,7 @@ def begun(arguments, folder):
 
 
 def left_behind(folder):
-    """What is not whole: temporary files, and folders in which kernels are built."""
+    """Return incomplete files: temporary ones, and folders in which kernels are built."""
     paths = [*folder.rglob(".warpdiff-*"), *folder.rglob("*_p*_t*"), *(folder / "temporary").iterdir()]
     return [path for path in paths if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
 

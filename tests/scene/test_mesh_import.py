@@ -1,4 +1,4 @@
-"""What becomes of a mesh: checks, normals, tangents, handedness, base colours, convexity."""
+"""Import of meshes: checks, normals, tangents, handedness, base colours, convexity."""
 
 import math
 import warnings
@@ -138,7 +138,7 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
         facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facets /= np.linalg.norm(facets, axis=1, keepdims=True)
         np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(facets[:, None], 3, axis=1), atol=1e-3)
-    # What else has such triangles is smooth, and so is what was given other normals.
+    # Other meshes with such triangles are smooth, and so is a mesh with other vertex normals.
     loose = trimesh.Trimesh(opened.vertices, opened.faces, process=False)
     np.testing.assert_allclose(prepare_surface(loose, tangents=tangents).normals, loose.vertices, atol=2e-2)
     opened.vertex_normals = loose.vertices
@@ -341,7 +341,7 @@ def folded(mesh):
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
 
-# Of 25 faces around: of 24 the tangents at a tip would lie at the very 30° within which they are joined.
+# 25 faces around: with 24, tangents at a tip would lie exactly at the 30° within which they are joined.
 @pytest.mark.parametrize(
     "mesh",
     [meshes.tube(segments_along=40, segments_around=25), folded(meshes.tube(segments_along=40, segments_around=25)),

@@ -33,7 +33,7 @@ def truth(heightfield, lights, views, coherence):
 @pytest.mark.parametrize(
     ("kind", "tolerance"), [("averaged", 2e-2), ("centred", 1e-1), slow("averaged", 1e-1), slow("centred", 2e-2)]
 )
-def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
+def test_a_table_meets_its_tolerance(fingers, kind, tolerance, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 160), hemisphere(rng, 160)
     options = {"tolerance": tolerance, "coherence": coherence, "method": "low-rank", "integration": "table"}
@@ -47,7 +47,7 @@ def test_a_table_keeps_its_tolerance(fingers, kind, tolerance, rng):
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
-def test_more_nodes_and_rays_err_less(fingers, kind, rng):
+def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     coherence = wd.Coherence(kind, 9.0)
     lights, views = hemisphere(rng, 100), hemisphere(rng, 100)
     exact = truth(fingers, lights, views, coherence)
@@ -131,7 +131,7 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # Neighbours of less weight than exp(-20) are left out.
+    # Neighbours with a weight below exp(-20) are excluded.
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -194,7 +194,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # A node's number is a multiple of an octave's nodes where an octave begins.
+    # Octaves begin at ring numbers that differ by the number of rings per octave.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -253,7 +253,7 @@ def test_weights_hold_white_and_a_slope(nodes, illuminant):
 
 
 def test_functions_of_w_serve_all_terms():
-    """What a term in κ = w/λ is at every node of a colour comes back from the functions of w that colours share."""
+    """Functions of w, which colours share, reproduce each term in κ = w/λ at every quadrature node of a colour."""
     kappas = (0.5, 5.0)
 
     def basis_at(at):
@@ -283,7 +283,7 @@ def test_the_number_of_threads_does_not_matter(fingers, rng):
     np.testing.assert_array_equal(one, wd.reflectance(copy, lights, views, plan=plan, threads=3))
 
 
-def test_many_directions_take_a_table_and_few_do_not(fingers):
+def test_many_directions_use_a_table_and_few_do_not(fingers):
     light = (0.2, 0.1, 1.0)
     few = wd.reflectance_map(fingers, light, size=24, tolerance=1e-1, coherence=SHORT)
     many = wd.reflectance_map(fingers, light, size=400, tolerance=1e-1, coherence=SHORT)
@@ -295,7 +295,7 @@ def test_many_directions_take_a_table_and_few_do_not(fingers):
     assert np.percentile(errors, 99.0) <= 1e-1
 
 
-def test_a_table_that_cannot_keep_its_tolerance_is_refused(fingers, rng):
+def test_a_table_that_cannot_meet_its_tolerance_is_refused(fingers, rng):
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     arguments = {"tolerance": 1e-4, "method": "low-rank", "integration": "table", "coherence": SHORT}
     with pytest.raises(ValueError, match="rings per octave are too few"):

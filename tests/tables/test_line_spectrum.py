@@ -26,7 +26,7 @@ def plan(fingers):
     return wd.plan(fingers, tolerance=1e-1, coherence=SOURCE, method="low-rank", integration="table")
 
 
-def test_a_table_keeps_its_tolerance(fingers, plan, rng):
+def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     assert plan.rings_per_octave > 0
     # As measured; the safety in it is no reason to refuse.
@@ -44,7 +44,7 @@ def test_a_table_keeps_its_tolerance(fingers, plan, rng):
     assert np.median(result[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
 
 
-def test_more_nodes_err_less(fingers, plan, rng):
+def test_more_nodes_have_smaller_errors(fingers, plan, rng):
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     exact = wd.reflectance(fingers, lights, views, coherence=SOURCE, method="low-rank", tolerance=1e-3)
     errors = []
@@ -196,8 +196,8 @@ def test_footprints_widen_the_source(fingers, plan):
         np.testing.assert_allclose(result, mean, rtol=3e-2, atol=1e-2 * mean.max())
 
 
-def test_progress_goes_on_to_the_end_once(fingers, plan, rng):
-    """What the table leaves to sampling does not begin it anew."""
+def test_progress_increases_to_the_end_once(fingers, plan, rng):
+    """Directions that are sampled instead of looked up do not restart the progress."""
     lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
     shares = []
     wd.reflectance(fingers, lights, views, plan=plan, progress=shares.append)

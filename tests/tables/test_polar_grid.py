@@ -53,7 +53,7 @@ def test_rows_of_levels_follow_each_other(coherence):
 
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
-def test_two_ways_to_the_zeroth_order_agree(coherence):
+def test_two_computations_of_the_zeroth_order_agree(coherence):
     """From the coefficient of a colour table, and from how often heights occur, as baked lobes have it."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)

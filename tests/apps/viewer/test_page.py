@@ -32,7 +32,7 @@ FLAGS = [
 ]
 # Machines that test may be busy.
 WAIT_MS = 240_000
-# A stage of 320 × 240 beside the panel.
+# The window leaves a stage of 320 × 240 pixels next to the panel.
 SMALL = {"width": 640, "height": 240}
 
 
@@ -372,7 +372,7 @@ def test_the_server_may_go_and_come_back(chromium, served):
     made.set("azimuth_deg", 10)
     assert changed(made.rest(), before) > 0.01
     server.end()
-    # The browser itself tells of a server that refuses.
+    # The browser logs refused connections.
     made.console = [line for line in made.console if "ERR_CONNECTION_REFUSED" not in line]
     made.close()
 

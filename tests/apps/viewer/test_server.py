@@ -69,7 +69,7 @@ def serving(host="127.0.0.1"):
 
 
 def ask(server, text, wait_s=5.0):
-    """What a connection gets to read for these bytes."""
+    """Return the answer to these bytes on a new connection."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=wait_s) as connection:
         connection.sendall(text if isinstance(text, bytes) else text.replace("\n", "\r\n").encode())
         answer = b""
@@ -209,7 +209,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
             before = len(studio.requests)
             page.send(draw(**case))
             page.send(draw(generation=7))
-            # What follows it is served.
+            # The next request is served.
             give_up = time.monotonic() + 5.0
             while time.monotonic() < give_up and not (
                 len(studio.requests) > before and studio.requests[-1].generation == 7
@@ -218,7 +218,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
             assert studio.requests[-1].generation == 7, case
             refused += len(studio.requests) == before + 1
             if len(studio.requests) > before + 1:
-                # Of those that are let through, all is what the controls say.
+                # Accepted requests contain only values that the controls allow.
                 values = studio.requests[before].values
                 assert checked(KNOWN, values) == values
         assert refused > 0.75 * len(cases)

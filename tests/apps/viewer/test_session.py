@@ -96,7 +96,7 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # Of a window that takes seconds less: its tables are made for the page, its code and its command.
+    # Tables for this window take seconds less. The page, its code and its command each make them.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
@@ -148,7 +148,7 @@ def test_what_is_let_go_is_refined_at_once(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # What is set otherwise is seen unrefined before.
+        # Changed settings are shown unrefined first.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)

@@ -134,7 +134,7 @@ def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
-    # As much as the picture it is compared with may err by.
+    # The reference picture may have an error of this size.
     assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
     assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
 
@@ -240,7 +240,7 @@ def test_without_webgl_2_a_sentence_says_so(page, chromium):
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
 def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chromium, tmp_path):
-    """What the snake does not have."""
+    """Features that the snake does not have."""
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)
