@@ -17,12 +17,15 @@ of them (hero wavelengths, Wilkie et al. 2014).
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 import warpdiff as wd
 from warpdiff.core.wording import ArgumentValueError, ref
+
+# A value, array or module of Mitsuba, whose type depends on the variant that is set at run time.
+Variant: TypeAlias = Any
 
 NAME = "warpdiff"
 # Shares of the densities that directions are drawn from. The even share covers the whole disc, so that no lobe is
@@ -89,8 +92,8 @@ class _Table:
     """
 
     def __init__(
-        self, grid: Any, functions: Any, zeroth: Any, *, largest: float, first: float, span: float, deviation: float,
-        typical: Any,
+        self, grid: Variant, functions: Variant, zeroth: Variant, *, largest: float, first: float, span: float, deviation: float,
+        typical: Variant,
     ) -> None:  # fmt: skip
         import mitsuba as mi
 
@@ -114,39 +117,39 @@ class _Table:
         cells = ((1.0 - _EVEN) * share + _EVEN * even).astype(np.float32)
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
-    def at(self, value: Any, entries: int) -> Any:
+    def at(self, value: Variant, entries: int) -> Variant:
         """The place of κ or w among the entries of a texture, 0 to 1."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
         return (share * (entries - 1) + 0.5) / entries
 
-    def zeroth_at(self, value: Any) -> Any:
+    def zeroth_at(self, value: Variant) -> Variant:
         """The mean plane's power, or its colour."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
 
-    def coefficients(self, x: Any, y: Any) -> Any:
+    def coefficients(self, x: Variant, y: Variant) -> Variant:
         """Coefficients at a place of the grid."""
         import mitsuba as mi
 
         scale = 0.5 / self.largest
         return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
 
-    def functions_at(self, value: Any) -> Any:
+    def functions_at(self, value: Variant) -> Variant:
         """Functions at κ or w."""
         import mitsuba as mi
 
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
-    def gaussian(self, x: Any, y: Any) -> Any:
+    def gaussian(self, x: Variant, y: Variant) -> Variant:
         """Density of the mean plane's lobe."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
-    def cell_density(self, x: Any, y: Any) -> Any:
+    def cell_density(self, x: Variant, y: Variant) -> Variant:
         """Density that cells are drawn with."""
         import drjit as dr
         import mitsuba as mi
@@ -202,7 +205,7 @@ def _colours(filename: str) -> _Table:
     )  # fmt: skip
 
 
-def _bsdf_class(table_of: Any) -> Any:
+def _bsdf_class(table_of: Variant) -> Variant:
     """The plug-in's class for the variant that is set."""
     import drjit as dr
     import mitsuba as mi
@@ -212,7 +215,7 @@ def _bsdf_class(table_of: Any) -> Any:
     class WarpdiffBSDF(mi.BSDF):  # type: ignore[misc]
         """Lobes of a height field; see the module."""
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: Variant) -> None:
             mi.BSDF.__init__(self, props)
             self._table = table_of(str(props["filename"]))
             index = float(props.get("ior", 1.5))
@@ -222,23 +225,23 @@ def _bsdf_class(table_of: Any) -> Any:
             self.m_components = [flags]
             self.m_flags = flags
 
-        def _scales(self, si: Any) -> list[Any]:
+        def _scales(self, si: Variant) -> list[Variant]:
             """λ [µm] of each of a ray's wavelengths; 1 for colours."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
 
-        def _reflectance(self, cosine: Any) -> Any:
+        def _reflectance(self, cosine: Variant) -> Variant:
             """The one material: Schlick's power reflectance."""
             rest = 1.0 - dr.minimum(cosine, 1.0)
             return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
 
-        def _mirror_share(self, cos_i: Any, scale: Any) -> Any:
+        def _mirror_share(self, cos_i: Variant, scale: Variant) -> Variant:
             """How often the mean plane's lobe is drawn: in proportion to its density in the mirror direction."""
             power = self._table.zeroth_at(2.0 * cos_i / scale)
             return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
 
-        def _density(self, si: Any, wo: Any) -> Any:
+        def _density(self, si: Variant, wo: Variant) -> Variant:
             """Density of directions that are drawn."""
             table, total = self._table, mi.Float(0.0)
             scales = self._scales(si)
@@ -249,7 +252,7 @@ def _bsdf_class(table_of: Any) -> Any:
                 total += density / (scale * scale)
             return total * wo.z / len(scales)
 
-        def _value(self, si: Any, wo: Any) -> Any:
+        def _value(self, si: Variant, wo: Variant) -> Variant:
             """The BRDF times cos θo."""
             table, wi = self._table, si.wi
             half = wi + wo
@@ -273,10 +276,12 @@ def _bsdf_class(table_of: Any) -> Any:
                     values.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
             return mi.Spectrum(*values) if spectral else mi.Color3f(*values)
 
-        def _is_visible(self, si: Any, wo: Any, active: Any) -> Any:
+        def _is_visible(self, si: Variant, wo: Variant, active: Variant) -> Variant:
             return active & (si.wi.z > _LEAST_COSINE) & (wo.z > _LEAST_COSINE)
 
-        def sample(self, _ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        def sample(
+            self, _ctx: Variant, si: Variant, sample1: Variant, sample2: Variant, active: Variant = True
+        ) -> Variant:
             """Draw a direction; returns a ``BSDFSample3f`` and the BRDF times cos θo over its density."""
             scales, table = self._scales(si), self._table
             at = sample1 * len(scales)
@@ -302,15 +307,15 @@ def _bsdf_class(table_of: Any) -> Any:
             result.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
             return result, dr.select(visible, self._value(si, wo) / dr.select(visible, density, 1.0), 0.0)
 
-        def eval(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval(self, _ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
             """The BRDF times cos θo."""
             return dr.select(self._is_visible(si, wo, active), self._value(si, wo), 0.0)
 
-        def pdf(self, _ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def pdf(self, _ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
             """Density of directions that ``sample`` draws [1/sr]."""
             return dr.select(self._is_visible(si, wo, active), self._density(si, wo), 0.0)
 
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval_pdf(self, ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
             """Both."""
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
