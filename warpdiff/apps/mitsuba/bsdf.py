@@ -92,8 +92,8 @@ class _Table:
     """
 
     def __init__(
-        self, grid: Variant, functions: Variant, zeroth: Variant, *, largest: float, first: float, span: float, deviation: float,
-        typical: Variant,
+        self, grid: Variant, functions: Variant, zeroth: Variant, *, largest: float, first: float, span: float,
+        deviation: float, typical: Variant,
     ) -> None:  # fmt: skip
         import mitsuba as mi
 
