@@ -135,8 +135,6 @@ def test_a_damaged_file_of_another_format_is_refused_by_its_path(tmp_path, suffi
     path.write_bytes(path.read_bytes()[:400])
     # With a package that detects encodings, trimesh reads the rest of a binary STL file as text without triangles.
     message = r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* without any)"
-        r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* file without any)"
-    )
     with pytest.raises(ValueError, match=message) as refused:
         prepare_surface(path)
     assert str(path) in str(refused.value)
