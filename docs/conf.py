@@ -69,6 +69,20 @@ if (HERE.parent / "examples").is_dir():
         "gallery_dirs": "gallery",
         "filename_pattern": r"plot_",
         "image_scrapers": ("gallery_pictures.saved_pictures", "matplotlib"),
+        "subsection_order": [
+            f"../examples/{topic}"
+            for topic in (
+                "first_steps",
+                "scans",
+                "gratings",
+                "lights",
+                "materials",
+                "coherence",
+                "sequences",
+                "comparison",
+                "export",
+            )
+        ],
         "within_subsection_order": "FileNameSortKey",
         "remove_config_comments": True,
         "show_memory": False,
