@@ -61,6 +61,7 @@ autoclass_content = "both"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+napoleon_attr_annotations = False
 
 if (HERE.parent / "examples").is_dir():
     extensions.append("sphinx_gallery.gen_gallery")
