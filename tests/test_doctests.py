@@ -18,8 +18,8 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def public_names() -> list[str]:
-    """Names of ``wd.__all__``; of those that are modules, such as ``wd.gratings``, the public functions."""
-    names = []
+    """Names of ``wd.__all__``, and the public functions of its modules, such as ``wd.gratings``."""
+    names = list(wd.__all__)
     for name in wd.__all__:
         value = getattr(wd, name)
         if inspect.ismodule(value):
@@ -28,8 +28,6 @@ def public_names() -> list[str]:
                 value, "__all__", [key for key, function in functions if function.__module__ == value.__name__]
             )
             names += [f"{name}.{key}" for key in own if not key.startswith("_")]
-        else:
-            names.append(name)
     return names
 
 
@@ -46,8 +44,9 @@ def members(name: str) -> Iterator[tuple[str, object]]:
 
 
 def examples(name: str, value: object) -> doctest.DocTest:
-    """The examples of a docstring."""
-    text = inspect.getdoc(value) or "" if callable(value) or isinstance(value, property) else ""
+    """The examples of a docstring; attributes have none of their own."""
+    has_docstring = callable(value) or isinstance(value, property) or inspect.ismodule(value)
+    text = inspect.getdoc(value) or "" if has_docstring else ""
     return doctest.DocTestParser().get_doctest(text, {"np": np, "wd": wd}, name, None, None)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _Choice = TypeVar("_Choice", bound=str | int)
-# Limits of magnitudes in any unit. Beyond them, powers of the values overflow or vanish in float32 sums.
+# Limits of magnitudes in any unit. Values beyond have no physical meaning, and their powers overflow or vanish.
 MOST, LEAST = 1e15, 1e-15
 # Limit on integers, the largest int64; larger ones overflow.
 MOST_COUNT = 2**63 - 1

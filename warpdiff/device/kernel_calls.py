@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU, so many that the launches are cheap compared with the elements. If
-# doubled, arrays of a slice are more likely to leave the processor's cache.
+# Default number of elements per slice on the CPU, so many that the launches are cheap compared with the elements.
 ELEMENTS_OF_SLICE = 512
 # Limits on the slices that a thread takes at once: their number of elements, and turns per thread over all elements.
 # Between turns a thread checks for an interrupt and reports progress.

@@ -36,7 +36,7 @@ SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 
-# Number of samples of the interpolating polynomial, a quintic. A higher degree oscillates between samples.
+# Number of samples of the interpolating polynomial, a quintic. With cubics, up to twice the samples are required.
 _STENCIL = 6
 # Limits of the loop that removes negative weights: number of rounds, and share of all weights that ends it (rounding).
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
