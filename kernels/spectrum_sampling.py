@@ -8,7 +8,6 @@ ratios: ``colour_lookup`` has the rest.
 import functools
 import math
 import types
-from typing import Any
 
 import warp as wp
 
@@ -20,7 +19,7 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 
 @functools.cache
-def resampler(lanes: int, powers: bool, width: int) -> Any:
+def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
     """The kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
 
     Args:
@@ -74,7 +73,7 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
 
 
 @functools.cache
-def gatherer(lanes: int) -> Any:
+def gatherer(lanes: int) -> types.SimpleNamespace:
     """The kernel that gathers coefficients as lines of a spectrum on azimuths, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
@@ -123,7 +122,7 @@ def gatherer(lanes: int) -> Any:
 
 
 @functools.cache
-def projector(lanes: int, w_basis_size: int) -> Any:
+def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     """The kernel that sums rows of ``lanes`` terms over one octave's rings, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
@@ -196,7 +195,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
 
 
 @functools.cache
-def adder(w_basis_size: int) -> Any:
+def adder(w_basis_size: int) -> wp.Kernel:
     """The kernel that adds colours of so many functions of w, times a factor for each ring."""
     row_t = lookup(w_basis_size).row
 

@@ -34,7 +34,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
@@ -131,7 +131,9 @@ class Renderer:
                 inputs.parts,
                 view,
             )
-        self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
+        self._turn: contextlib.AbstractContextManager[object] = (
+            threading.Lock() if self._recorded else contextlib.nullcontext()
+        )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -159,7 +161,7 @@ class Renderer:
             inputs = inputs.refined(refine=validation.flag(refine, "refine"))
         return self._from_parts(inputs, self._surface, view, self._lookup)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Callable[..., Renderer], tuple[dict[str, Any]]]:
         return _unpickled, (self.__getstate__(),)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -244,7 +246,7 @@ class Renderer:
             return image
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
-    def _preview_steps(self, mine: _ThreadPicture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
+    def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
         """Return checked tolerances, the largest first, with the calls that each makes."""
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
@@ -323,8 +325,8 @@ class _ThreadPicture(threading.local):
     def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
         self.picture, self.parts, self.view, self.is_drawn, self.tolerance = make(), parts, view, False, 0.0
         self.is_drawing = False
-        self.graph: Any = None
-        self.graph_is_for: tuple[Any, ...] = ()
+        self.graph: wp.Graph | None = None
+        self.graph_is_for: tuple[Hashable, ...] = ()
 
 
 def records(device: wp.Device) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -13,6 +13,7 @@ from warpdiff.core.caching import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays
 
 if TYPE_CHECKING:
+    from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
@@ -37,7 +38,7 @@ class SceneArrays:
         grids: The last lights' grids for shadow rays.
     """
 
-    def __init__(self, surface: Surface, *, smooth: bool = True, device: Any = None) -> None:
+    def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
         """Copy the arrays to the device; unless ``smooth``, every face shows its own normal, not the vertices'."""
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
@@ -53,9 +54,9 @@ class SceneArrays:
         self.face_count = len(surface.faces)
         self.bare = arrays
         self._mesh: wp.Mesh | None = None
-        self.grids: LruCache[Any] = LruCache(_MOST_GRIDS)
+        self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
-    def with_hierarchy(self) -> Any:
+    def with_hierarchy(self) -> SurfaceArrays:
         """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it."""
         with _once:
             if self._mesh is None:
@@ -69,13 +70,13 @@ class SceneArrays:
         return self.bare
 
 
-def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
+def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
     """The arrays of a surface, made or found again."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
-def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Any:
+def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
     """The :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
     It has a ``margin`` of so many more pixels on each side. Its ``axes``, (5,) of ``wp.vec3d``, are set.

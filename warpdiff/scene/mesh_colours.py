@@ -12,6 +12,7 @@ from warpdiff.optics.colorimetry import srgb_decode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+    from PIL import Image
 
 # Key under which Pillow's image holds why it could not be decoded.
 _DAMAGE = "warpdiff:damage"
@@ -46,7 +47,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
     return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
 
 
-def _image(image: Any) -> NDArray[np.float32] | None:
+def _image(image: Image.Image) -> NDArray[np.float32] | None:
     """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
     if damage := _damage(image):
         texture = image.info.get("file_path") or "an image"
@@ -61,7 +62,7 @@ def _image(image: Any) -> NDArray[np.float32] | None:
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 
 
-def _damage(image: Any) -> str:
+def _damage(image: Image.Image) -> str:
     """Why a PIL image cannot be decoded, or nothing."""
     if _DAMAGE not in image.info:
         try:

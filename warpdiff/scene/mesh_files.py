@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpdiff.core import validation
 from warpdiff.core.warnings import warn
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     import trimesh
     from PIL import Image
+    from trimesh.resolvers import FilePathResolver
 
 
 def load(path: str | os.PathLike[str]) -> trimesh.Scene:
@@ -60,7 +61,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     return scene
 
 
-def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> Any:
+def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> FilePathResolver:
     """A resolver of the files that a mesh names, which notes their ``contents``, or the ``reasons`` if it has none."""
     from trimesh.resolvers import FilePathResolver
 

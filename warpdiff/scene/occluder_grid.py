@@ -26,7 +26,7 @@ _MOST_CELLS, _MOST_LISTED = 16, 48
 _SLICE = 4096
 
 
-def no_grid(scene: SceneArrays) -> Any:
+def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
     """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
@@ -35,7 +35,7 @@ def no_grid(scene: SceneArrays) -> Any:
 
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
-) -> Any:
+) -> shadow_rays.ShadowGrid:
     """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface under a light on the CPU, made or found again.
 
     That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
@@ -44,7 +44,9 @@ def grid_for(
     return scene.grids.get_or_make(tuple(to_light), make)
 
 
-def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
+def _made(
+    surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
+) -> shadow_rays.ShadowGrid:
     towards = np.array(to_light)
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
     across /= np.linalg.norm(across)
