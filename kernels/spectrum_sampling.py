@@ -90,16 +90,16 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
         Args:
             coefficients: Powers.
-            lines: Which of them, in the order of their angles.
-            angles: Theirs, from 0 to a turn and a little beyond either end.
-            places: Where they lie among the rings.
-            weights: What they count.
+            lines: Indices into ``coefficients``, in the order of the lines' angles.
+            angles: Angles of the lines, from 0 to a turn and a little beyond either end [rad].
+            places: Positions of the lines among the rings, in rings.
+            weights: Weights of the lines.
             begins: For each azimuth the first line that reaches it.
-            ends: And the one behind the last.
+            ends: For each azimuth the line after the last one that reaches it.
             rings: Rings of an azimuth.
             blur: Standard deviation of the angle.
             first: The first thread's azimuth.
-            values_out: Spoke after azimuth, ring by ring.
+            values_out: Integrals, azimuth after azimuth and ring by ring.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -127,7 +127,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Side by side: as many as registers hold sums for.
+    # Number of azimuths that are summed together. Limit: registers for their sums.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
