@@ -73,7 +73,7 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Return the calls that trace one of several samples of every pixel, whose places are made at once."""
+        """Compute the positions of one of several samples per pixel, and return the calls that trace them."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
@@ -112,7 +112,7 @@ class CameraRays:
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
     ) -> list[ShadowGrid]:
-        """Return the structs ``ShadowGrid`` for shadow rays to lights, which here ask the hierarchy.
+        """Return the structs ``ShadowGrid`` for shadow rays to lights; these use the hierarchy.
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
@@ -122,13 +122,13 @@ class CameraRays:
 
 
 class RasterizedRays(CameraRays):
-    """Camera rays on the CPU: faces are rasterized first, so that a ray meets a known face, or none.
+    """Camera rays on the CPU: rasterization finds the nearest face of each ray beforehand.
 
     Rasterizing takes a quarter of the time that a hierarchy takes there, so that this class stays apart.
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Return the calls that trace one of several samples of every pixel, whose faces are found at once."""
+        """Rasterize one of several samples per pixel, and return the calls that find its hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
@@ -154,7 +154,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return grids of faces if they pay for so many shadow rays and fit, and otherwise ask the hierarchy."""
+        """Return grids of faces if they save time and fit in memory, otherwise grids that use the hierarchy."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         return [

@@ -1,4 +1,4 @@
-"""Meshes and cameras on a Warp device, as the ray kernels take them."""
+"""Meshes and cameras on a Warp device, in the structs of the ray kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Faces in a leaf of a hierarchy on the CPU.
+# Number of faces per leaf of a hierarchy on the CPU. Limit: other values change the time of rays, not their hits.
 _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = forks.lock()
@@ -33,7 +33,7 @@ class SceneArrays:
     The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
 
     Attributes:
-        bare: The struct for kernels, with a hierarchy once one was asked for: faces know their pixels.
+        bare: The struct for kernels; it has a hierarchy after the first call of :meth:`with_hierarchy`.
         face_count: Number of faces.
         grids: The last lights' grids for shadow rays.
     """
@@ -57,10 +57,10 @@ class SceneArrays:
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self) -> SurfaceArrays:
-        """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it."""
+        """Return the struct with a hierarchy, which is built once."""
         with _once:
             if self._mesh is None:
-                # Made in half the time there, where a moving mesh's waits for it.
+                # On the CPU this constructor takes half the time of the default one.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
                     points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
@@ -71,7 +71,7 @@ class SceneArrays:
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
-    """The arrays of a surface, made or found again."""
+    """Return the cached arrays of a surface."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
@@ -98,7 +98,7 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
-    """Whether a point that the view shows could be shadowed: not on a convex body seen from outside."""
+    """Return whether any visible point could be shadowed; on a convex body viewed from outside none can."""
     if not surface.is_convex:
         return True
     frame = view.frame()

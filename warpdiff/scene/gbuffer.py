@@ -1,4 +1,4 @@
-"""G-buffers: what rays hit and the shading frames there, without any light."""
+"""G-buffers: hits of rays and the shading frames there, without any light."""
 
 from __future__ import annotations
 

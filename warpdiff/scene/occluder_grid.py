@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 # Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
 # faster: large faces lie one above the other, or small ones close together.
 _MOST_CELLS, _MOST_LISTED = 16, 48
-# Faces of a slice.
+# Number of faces per slice of a launch. Limit: other values change the time only.
 _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
+    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists, which uses the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -57,7 +57,7 @@ def _made(
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # As many cells as faces.
+    # The grid has about as many cells as faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
