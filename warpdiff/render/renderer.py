@@ -196,6 +196,14 @@ class Renderer:
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. On a
             GPU the array may not be ready yet; ``numpy()`` synchronises.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
+            >>> view = wd.View.fit(body, width=32, height=18)
+            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> renderer.draw(wd.PointLight((1.0, 2.0, 3.0))).numpy().shape
+            (18, 32, 3)
         """
         progress = reporter(progress, "draw")
         mine = self._mine
@@ -236,7 +244,16 @@ class Renderer:
         return mine.picture.xyz
 
     def image(self) -> Image:
-        """This thread's last picture, with what it covers, on the host, where no later one changes it."""
+        """Return a copy of this thread's last picture on the host.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
+            >>> view = wd.View.fit(body, width=32, height=18)
+            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> renderer.image().xyz.shape
+            (18, 32, 3)
+        """
         if not self._mine.is_drawn:
             self.draw()
         with self._turn:
