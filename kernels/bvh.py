@@ -1,4 +1,4 @@
-"""Camera rays through a bounding volume hierarchy, on a GPU; shadow rays ask it by Warp's own query."""
+"""Camera rays through a bounding volume hierarchy, for GPUs and for launches that are recorded."""
 
 import warp as wp
 
@@ -6,16 +6,17 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
-# Infinities stay defined, by which the hierarchy decides whether a ray hits.
+# The flags keep infinities defined: the hierarchy's tests of boxes rely on them.
 wp.set_module_options(compile_options.options())
 
-# Beyond any distance between two points of the unit sphere.
+# Length of a ray [radii of the mesh]. Derived: rays start at most 2 before their point nearest to the centre, so that
+# they leave the unit sphere within 3. A larger length changes nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
 @wp.func
 def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.int32) -> wp.uint64:
-    """The face that a ray meets first; all bits set is none."""
+    """Return the first face that a ray hits, or ``UNSEEN``."""
     pixel = ray
     offset = wp.vec2d()
     if sampling.offsets.shape[0] > 0:
@@ -27,7 +28,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
             return UNSEEN
         offset = sampling.places[ray % rays]
 
-    # In float64 up to where it comes near the mesh: the eye may be thousands of radii away.
+    # The ray is in float64 until it is near the mesh: the eye may be thousands of radii away.
     two = wp.float64(2.0)
     column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
     row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
@@ -60,15 +61,15 @@ def trace_bvh(
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Find the face that each ray sees through the hierarchy, where a GPU rasterizes none.
+    """Find the first face that each ray hits, by the hierarchy.
 
     Args:
         camera: The view.
         surface: The mesh.
-        sampling: Where in the pixel.
+        sampling: Positions of the rays.
         first: The first thread's pixel, or ray of a tile.
-        run: How many a thread takes.
-        nearest_out: As ``rasterize`` has it, without the distance.
+        run: Number of rays per thread.
+        nearest_out: Index of the face in the lower 32 bits; ``UNSEEN`` if the ray hits none.
     """
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         nearest_out[ray] = trace(camera, surface, sampling, ray)

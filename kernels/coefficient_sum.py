@@ -17,7 +17,7 @@ from warpdiff.kernels.indices import cyclic
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
-# Taps of the interpolation kernel along an axis.
+# Number of taps of the interpolation kernel along an axis. Limit: time is proportional to it.
 TAPS = 8
 # Below this argument the copies' factor is its parabola, whose error is of the fourth order.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))

@@ -22,13 +22,13 @@ from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Loops that stay loops compile faster.
+# Loops are not unrolled, which shortens compilation.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the azimuths or rings that a look-up takes at most by the tables of weights; as many azimuths are repeated on
-# either side of a turn.
+# Half of the largest number of azimuths, or rings, that a look-up sums by the tables of weights. As many azimuths are
+# repeated at either end of a turn. Limit: twice as many double the size of the tables of weights.
 HALF_TAPS = 7
-# Directions that a thread looks up one after the other on the CPU, at most.
+# Largest number of directions that a thread of the CPU looks up in one call. Limit: size of local arrays.
 BATCH = 256
 # Number of directions ahead of the present one whose rows are requested from memory.
 _AHEAD = 3
@@ -37,10 +37,10 @@ FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Rows that a blur adds at a time.
+# Number of rows that a blur adds at a time.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
-# Parts of a footprint along its angle.
+# Largest number of parts of a footprint along its angle. Limit: each part takes time.
 MOST_PARTS = 12
 # Number of standard deviations up to which rings count for a wide blur.
 DEVIATIONS = 3.0
@@ -123,7 +123,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
         inner_radius2: wp.float32  # of a source: below this |(u, v)|² directions are unserved
 
-    # Compiled once, by a second index: see ``scattering``.
+    # The second index avoids a second compiled variant: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         # In:
@@ -227,7 +227,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none.
+        """Add the XYZ of ``run`` directions per thread to ``xyz_out``; an empty array of footprints stands for none.
 
         Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their
         gains, others' are 0.

@@ -7,10 +7,10 @@ from typing import Any
 
 import warp as wp
 
-# Sums over vectors are as long as a table's rows: the first two flags let these be reordered into SIMD lanes. They are
-# the parts of fast-math that do so and leave NaN and infinity defined. The last two make the first picture come sooner:
-# Warp's headers, which each thread that compiles precompiles, take 1.1 s instead of 1.7 without a type that no kernel
-# has, and a module 0.05 to 0.1 s less when their templates are instantiated beforehand.
+# Compiler flags for the CPU. -mreassociate and -fno-signed-zeros let the compiler reorder sums over a table's rows into
+# SIMD lanes; NaN and infinity stay defined. The last two shorten compilation (measured): without bfloat16, which no
+# kernel uses, each compiling thread precompiles Warp's headers in 1.1 s instead of 1.7 s. Templates that are
+# instantiated beforehand save 0.05 to 0.1 s per module.
 _FLAGS = (
     "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast -DWP_NO_BFLOAT16= -fpch-instantiate-templates"
 )
@@ -19,17 +19,17 @@ NATIVE = Path(__file__).resolve().parent / "native"
 
 @functools.cache
 def headers(name: str) -> tuple[Path, ...]:
-    """A header of this package and all that it includes."""
+    """Return a header of ``native`` and all headers that it includes."""
     path = NATIVE / name
     included = re.findall(r'^#include "(\w+\.h)"', path.read_text(encoding="utf-8"), re.MULTILINE)
     return tuple(dict.fromkeys([path, *(header for inner in included for header in headers(inner))]))
 
 
 def options(*names: str, **others: Any) -> dict[str, Any]:
-    """Module options of kernels whose native functions lie in headers of ``native``.
+    """Return module options for kernels whose native functions are in headers of ``native``.
 
-    The folder is named to all modules: with other options Warp's own headers are precompiled once more. A header that
-    has changed makes Warp compile the module again.
+    All modules get the same include folder, as Warp precompiles its headers again for other options. Warp compiles a
+    module again if one of its headers has changed.
     """
     includes = "".join(f'#include "{name}"\n' for name in names)
     build = wp.ModuleBuildOptions(

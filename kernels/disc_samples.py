@@ -1,4 +1,4 @@
-"""Disc samples: directions to a disc light, a Gaussian of directions each, which together are the disc."""
+"""Disc samples: directions to a disc light; each sample is a Gaussian of directions, and their sum is the disc."""
 
 import math
 
@@ -11,8 +11,8 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Share of the directions that are drawn near that of a mirror, where it is no farther from the disc than so many
-# deviations of the zeroth order.
+# Share of the samples that are drawn around the mirror direction, and largest distance of that direction from the disc
+# at which they are [standard deviations of the zeroth order]. Limits: other values change the noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
@@ -40,7 +40,7 @@ def draw_disc(
     # Out:
     towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Draw a direction to a disc light for each ray, even in solid angle, or near the direction of a mirror.
+    """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.
 
     Args:
         lights: The lights; deviations are those of the disc, half of its radius.

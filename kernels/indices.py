@@ -5,7 +5,7 @@ import warp as wp
 
 @wp.func
 def cyclic(index: wp.int32, count: wp.int32) -> wp.int32:
-    """An index into an axis that repeats, or around a turn."""
+    """Return an index modulo the length of a periodic axis, in 0 to ``count`` − 1."""
     if index < 0 or index >= count:
         index = index % count
         if index < 0:

@@ -14,7 +14,7 @@ wp.set_module_options(compile_options.options("light_samples.h", "footprints.h")
 
 @wp.struct
 class Lights:
-    """Lights, and what of them the pigment sends back: in arrays, so that a recorded picture finds the next ones."""
+    """Lights and their reflection by the pigment, in arrays, so that a recorded picture can use the next lights."""
 
     places: wp.array(dtype=wp.vec4d)  # homogeneous: the direction to a light and 0, or where it is and 1
     strengths: wp.array(
@@ -83,13 +83,13 @@ def scattering_vectors(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Deflection, direction to the light and gain of pixels under one of the lights.
+    """Find scattering vectors, directions to the light and gains of pixels under one of the lights.
 
-    All that meet the mesh have a scattering vector, and where the light does not come their gain is 0. Its pigment is
-    added to ``xyz_out``, ``counted`` to the coverage of those that meet the mesh, and those that it reaches are marked
-    as lit, from nothing if the sum ``begins``, or that of ``xyz_out`` ``resets``; empty arrays are none of these.
-    ``occluded`` says which pixels the light does not reach; empty is none. ``towards`` are directions to the light that
-    pixels have of their own, and weights; empty is that of the light.
+    All pixels that hit the mesh get a scattering vector; those without light have a gain of 0. The kernel adds the
+    pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated pixels. Coverage and
+    marks start from 0 if the sum ``begins``, ``xyz_out`` if it ``resets``. Empty arrays are not written. ``occluded``
+    marks pixels in shadow; empty stands for none. ``towards`` has directions to the light, and weights, by pixel; empty
+    stands for the direction of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -123,7 +123,7 @@ def scattering_vectors(
 
 @wp.func
 def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
-    """The factor a of a direction in the surface's frame, linear between the angles that there are."""
+    """Return the energy factor a of a direction in the surface's frame, linear between the tabulated angles."""
     rows = reflection.energy.shape[0]
     columns = reflection.energy.shape[1]
     if rows == 0:
@@ -152,7 +152,7 @@ def balance_energy(
     # Out:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by a(ωi) a(ωr)."""
+    """Multiply gains by the energy factors a(ωi) a(ωr)."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
@@ -171,7 +171,7 @@ def add_light_rotation(
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints how the direction to a light at a place changes over them, in the plane of the face."""
+    """Add to footprints the change of the direction to a point light over them, in the plane of the face."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])

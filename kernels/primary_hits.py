@@ -8,7 +8,7 @@ from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, S
 
 wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
 
-# How far from a pixel's centre its samples lie, at most.
+# Largest distance of a sample from its pixel's centre along an axis [pixels]. Derived: the cut of the pixel filter.
 MOST_OFFSET = 1.5
 # Value of a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
@@ -24,7 +24,7 @@ R2_Y = wp.constant(wp.uint32(2447445414))
 
 @wp.func
 def scramble(value: wp.uint32) -> wp.uint32:
-    """A hash of 32 bits to 32 bits."""
+    """Hash 32 bits to 32 bits."""
     x = value
     x = x ^ (x >> wp.uint32(16))
     x = x * HASH_1
@@ -35,7 +35,7 @@ def scramble(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def to_unit(bits: wp.uint32) -> wp.float64:
-    """32 bits as a number strictly between 0 and 1."""
+    """Map 32 bits to a number strictly between 0 and 1."""
     return (wp.float64(bits) + wp.float64(0.5)) / wp.float64(4294967296.0)
 
 
@@ -105,7 +105,7 @@ def rasterize_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, begin: wp.int32,
     end: wp.int32, nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Rasterize a run of faces into the nearest face of each ray."""
+    """Rasterize the faces of one thread, and keep the nearest face of each ray."""
 
 
 @wp.kernel
@@ -116,9 +116,9 @@ def rasterize(
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Find the face that each pixel's ray sees, or each cell's, by rasterizing faces: on the CPU alone.
+    """Find the first face that the ray of each pixel or cell hits, by rasterization; on the CPU only.
 
-    A picture's worth of rays visits every face's box in the hierarchy thousands of times; a face knows its pixels.
+    Rays through a hierarchy would test each face's box thousands of times; rasterization projects each face once.
 
     Args:
         camera: The view.
@@ -137,7 +137,7 @@ def rasterize(
 
 @wp.func
 def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
-    """The base colour of what a ray has met."""
+    """Return the base colour at a hit."""
     i0 = surface.faces[pixels.face[ray], 0]
     i1 = surface.faces[pixels.face[ray], 1]
     i2 = surface.faces[pixels.face[ray], 2]
@@ -165,7 +165,7 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
 def intersect_known_faces_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
 ):
-    """Where rays one after the other meet the faces that are known to be nearest."""
+    """Intersect the rays of one thread with their nearest faces."""
 
 
 @wp.kernel
@@ -173,7 +173,7 @@ def intersect_known_faces(
     # In:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """Where the rays of pixels, or of tiles, meet the faces that ``rasterize`` or ``trace_bvh`` has found.
+    """Intersect the rays of pixels or tiles with the faces from ``rasterize`` or ``trace_bvh``.
 
     Args:
         camera: The view.
@@ -198,7 +198,7 @@ def place_samples(
     # Out:
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
-    """Where a sample of each pixel lies, as ``pixel_offset`` has it."""
+    """Compute the position of one sample in each pixel, by ``pixel_offset``."""
     for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
 
@@ -208,7 +208,7 @@ def make_shading_frames(
     # In:
     surface: SurfaceArrays, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """The shading frames at what was met, and where shadow rays start.
+    """Compute the shading frames at hits, and the origins of shadow rays.
 
     The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
     b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
@@ -240,7 +240,7 @@ def make_shading_frames(
             tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
             tangent = tangent - wp.dot(tangent, normal) * normal
             if wp.length_sq(tangent) > LEAST_TANGENT:
-                # Projected twice, as in face_the_viewer.
+                # The vector is projected twice, as in ``face_the_viewer``, because of rounding.
                 tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
             else:
                 tangent = perpendicular(normal)

@@ -4,9 +4,10 @@ import warp as wp
 
 from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
-# How far a shadow ray starts above the surface: some hundred roundings of a position.
+# Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding of
+# a position. Occluders closer than the height cast no shadow.
 LIFT = wp.constant(wp.float32(1.0e-5))
-# The least cosine between the shading normal and the view.
+# Least cosine between the shading normal and the view; normals that face away are turned to it.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
 # The least square of a tangent's part at right angles to the normal.
 LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
@@ -38,7 +39,7 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
             aside = geometric - wp.dot(geometric, to_view) * to_view
         if wp.length_sq(aside) < 1.0e-12:
             aside = perpendicular(to_view)
-        # Projected twice: a short remainder of two nearly parallel vectors carries their rounding.
+        # The vector is projected twice: the short remainder of two nearly parallel vectors carries their rounding.
         aside = wp.normalize(aside)
         aside = wp.normalize(aside - wp.dot(aside, to_view) * to_view)
         result = LEAST_COSINE * to_view + wp.sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * aside

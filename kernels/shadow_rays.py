@@ -14,11 +14,11 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# Why most ask for a second index: see ``directions``.
+# The second index of most kernels avoids a second compiled variant: see ``light_samples``.
 
-# Steps in a radius: the most that float32 counts one by one.
+# Number of grid steps in a radius of the mesh. Limit: 2^24, up to which float32 represents all whole numbers.
 STEPS = wp.constant(wp.float64(16777216.0))
-# Less than any cosine that rounds to above the horizon.
+# Least cosine to the light at which a shadow ray is traced. Derived: rounding of cosines is smaller.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -114,7 +114,7 @@ def count(
     # Out:
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """How many faces each cell lists."""
+    """Count the faces in each cell's list."""
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])
@@ -157,7 +157,7 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Whether faces in the lists hide what pixels one after the other see."""
+    """Find, for the pixels of one thread, whether faces in the lists occlude the light."""
 
 
 @wp.kernel
@@ -168,10 +168,10 @@ def trace_shadow_rays(
     # Out:
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Whether the mesh is met on the way from what pixels see to one of the lights; those that look away do not ask.
+    """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.
 
-    ``grid`` is that of the same light, and has no lists for one at a place. ``directions`` are those to the light that
-    pixels have of their own, and weights; empty is that of the light.
+    ``grid`` is that of the same light, and has no lists for a point light. ``directions`` has directions to the light,
+    and weights, by pixel; empty stands for the direction of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))

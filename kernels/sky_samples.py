@@ -70,7 +70,7 @@ def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int3
 
 @wp.func
 def draw_uv(table: SkyDistribution, point: wp.vec2f) -> wp.vec2f:
-    """A place in (u, v) that the surface sends much light from."""
+    """Draw a point of (u, v), in proportion to the light that the surface scatters there."""
     ring = find_step(table.ring_cdf, 0, table.ring_cdf.shape[0], point[0])
     t = within_step(table.ring_cdf, 0, ring, point[0])
     radius = wp.exp(table.least_log + (wp.float32(ring - 1) + t) / table.per_log)
@@ -133,12 +133,12 @@ def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
 
 @wp.func
 def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3f:
-    """A direction in the world that the sky is bright in."""
+    """Draw a direction in the world frame, in proportion to the sky's brightness."""
     rows = table.row_cdf.shape[0]
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
     column = find_step(columns, 0, columns.shape[0], point[1])
-    # Even in solid angle.
+    # The direction is uniform in solid angle within its block.
     per_row = wp.static(math.pi) / wp.float32(rows)
     top = wp.cos(per_row * wp.float32(row))
     bottom = wp.cos(per_row * wp.float32(row + 1))
@@ -223,8 +223,8 @@ def sample_sky(
         footprints: Footprints of the rays' filters for light by way of a mirror.
         lights: The strength of the pigment.
         reflection: The reflectance.
-        mesh_id: The hierarchy that shadow rays ask.
-        shadows: Whether they do.
+        mesh_id: Id of the hierarchy for shadow rays.
+        shadows: Whether shadow rays are traced.
         tiles: Pixels whose cells these are, −1 is none; empty are all pixels of the picture.
         width: Pixels in a row.
         across: Cells along a side of a pixel.
@@ -236,7 +236,7 @@ def sample_sky(
         to_lights_out: Directions in the local frame.
         gains_out: Gains by spectrum, (3, n); 0 where no light arrives.
         xyz_out: Sums of colours, to which the pigment is added.
-        illuminated_out: Set where light arrives; empty is that nobody asks.
+        illuminated_out: Set where light arrives; an empty array is not written.
     """
     thread, _ = wp.tid()
     pigment = wp.float32(lights.strengths[0][1])

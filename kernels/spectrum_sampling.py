@@ -8,7 +8,6 @@ ratios: ``colour_lookup`` has the rest.
 import functools
 import math
 import types
-from typing import Any
 
 import warp as wp
 
@@ -20,7 +19,7 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 
 @functools.cache
-def resampler(lanes: int, powers: bool, width: int) -> Any:
+def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
     """The kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
 
     Args:
@@ -74,7 +73,7 @@ def resampler(lanes: int, powers: bool, width: int) -> Any:
 
 
 @functools.cache
-def gatherer(lanes: int) -> Any:
+def gatherer(lanes: int) -> types.SimpleNamespace:
     """The kernel that gathers coefficients as lines of a spectrum on azimuths, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
@@ -91,16 +90,16 @@ def gatherer(lanes: int) -> Any:
 
         Args:
             coefficients: Powers.
-            lines: Which of them, in the order of their angles.
-            angles: Theirs, from 0 to a turn and a little beyond either end.
-            places: Where they lie among the rings.
-            weights: What they count.
+            lines: Indices into ``coefficients``, in the order of the lines' angles.
+            angles: Angles of the lines, from 0 to a turn and a little beyond either end [rad].
+            places: Positions of the lines among the rings, in rings.
+            weights: Weights of the lines.
             begins: For each azimuth the first line that reaches it.
-            ends: And the one behind the last.
+            ends: For each azimuth the line after the last one that reaches it.
             rings: Rings of an azimuth.
             blur: Standard deviation of the angle.
             first: The first thread's azimuth.
-            values_out: Spoke after azimuth, ring by ring.
+            values_out: Integrals, azimuth after azimuth and ring by ring.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -123,12 +122,12 @@ def gatherer(lanes: int) -> Any:
 
 
 @functools.cache
-def projector(lanes: int, w_basis_size: int) -> Any:
+def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     """The kernel that sums rows of ``lanes`` terms over one octave's rings, to coefficients of so many functions."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Side by side: as many as registers hold sums for.
+    # Number of azimuths that are summed together. Limit: registers for their sums.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -196,7 +195,7 @@ def projector(lanes: int, w_basis_size: int) -> Any:
 
 
 @functools.cache
-def adder(w_basis_size: int) -> Any:
+def adder(w_basis_size: int) -> wp.Kernel:
     """The kernel that adds colours of so many functions of w, times a factor for each ring."""
     row_t = lookup(w_basis_size).row
 

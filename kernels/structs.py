@@ -8,7 +8,7 @@ import warp as wp
 
 # Change of (u, v) by one standard deviation of the filter, along rows and along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Mark of a pixel that is not computed yet.
+# Value of ``hit`` of a pixel whose shading frame is not computed yet.
 SPECIAL = wp.constant(2)
 
 

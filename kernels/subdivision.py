@@ -27,7 +27,7 @@ ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_
 
 @wp.func
 def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int32, other: wp.int32) -> wp.vec2f:
-    """By how much (u, v) differs from one pixel to another."""
+    """Return the difference of (u, v) between two pixels."""
     moved = scattering_vectors[other] - scattering_vectors[own]
     return wp.vec2f(wp.float32(moved[0]), wp.float32(moved[1]))
 
@@ -72,14 +72,14 @@ def estimate_errors(
 ):  # fmt: skip
     """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
 
-    What does not meet the mesh differs in nothing from its neighbour, and is black.
+    Pixels that do not hit the mesh are black, with no difference from their neighbours.
 
     Args:
-        colours: Theirs, of whole rows.
-        scattering_vectors: Their (u, v, w).
-        hit: Whether they meet the mesh.
+        colours: Colours of the pixels, in whole rows.
+        scattering_vectors: Scattering vectors of the pixels, (u, v, w).
+        hit: Whether the pixels hit the mesh.
         width: Pixels in a row.
-        floor: What errors are relative to at least.
+        floor: Luminance that errors are relative to at least.
         bound: Of errors relative to the colour, or to the floor, from which pixels are split; below 0, all are that
             meet the mesh or are next to it.
         all_pixels: Whether all are split, also where only cells may meet the mesh.
@@ -143,7 +143,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Filtered sums of pixels one after the other."""
+    """Splat the cells of the pixels of one thread."""
 
 
 @wp.kernel

@@ -41,7 +41,7 @@ def luminance_floor(
     # Out:
     floor_out: wp.array(dtype=wp.float32),
 ):
-    """A picture's floor, by one thread."""
+    """Find the picture's floor, by one thread."""
     total = wp.int32(0)
     for k in range(GROUPS):
         total += histogram[k]
@@ -54,7 +54,7 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The middle of the bin.
+    # The floor is the luminance in the middle of the bin.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
@@ -165,7 +165,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Count those that were copied, and tell whether any are left."""
+    """Count the copied pixels, and report whether any remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

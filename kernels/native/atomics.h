@@ -6,7 +6,7 @@
 
 namespace warpdiff {
 
-// Count one up; returns what was there.
+// Increment by 1, and return the previous value.
 WARPDIFF_INLINE int atomic_increment(int* count)
 {
 #if defined(__CUDA_ARCH__)

@@ -91,9 +91,9 @@ WARPDIFF_INLINE CellSums sum_cells(
 // samples; otherwise at the base level the quadrants and the changes from the colours before.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
-    const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base,
-    bool is_sampled, int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out,
-    Bytes& levels_out, Bytes& lighting_out)
+    const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,
+    int begin, int end, Sums& filtered_sums_out, Quadrants& quadrants_out, Numbers& changes_out, Bytes& levels_out,
+    Bytes& lighting_out)
 {
     const int across = 1 << level;
     for (int tile = begin; tile < end; ++tile) {

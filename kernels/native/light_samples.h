@@ -45,8 +45,7 @@ struct ScatteringBatch {
     Batch<N> gain;
 
     template <class Pixels>
-    WARPDIFF_INLINE void load(
-        const Pixels& pixels, bool is_at_a_place, const float* directions, int from, int count)
+    WARPDIFF_INLINE void load(const Pixels& pixels, bool is_at_a_place, const float* directions, int from, int count)
     {
         const float* const frames[3] = {numbers<const float>(pixels.tangent), numbers<const float>(pixels.bitangent),
             numbers<const float>(pixels.normal)};
@@ -79,9 +78,8 @@ WARPDIFF_INLINE double gain_of(
 
 // These functions process pixels side by side. Gains below the horizon are 0.
 template <int N, class Reflection>
-WARPDIFF_INLINE void scatter(
-    const LightPlace& light, bool has_directions, const Reflection& reflection, double scale, double horizon,
-    ScatteringBatch<N>& batch)
+WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const Reflection& reflection, double scale,
+    double horizon, ScatteringBatch<N>& batch)
 {
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
@@ -120,9 +118,8 @@ template <int BATCH, class Pixels, class Vector, class Directions, class Reflect
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,
     const Reflection& reflection, double scale, double horizon, double counted, bool begins, bool resets,
-    const Flags& occluded, int begin, int end,
-    ScatteringVectors& scattering_vectors_out, Lights& to_lights_out, Gains& gains_out, Colours& xyz_out,
-    Coverage& coverage_out, Flags& illuminated_out)
+    const Flags& occluded, int begin, int end, ScatteringVectors& scattering_vectors_out, Lights& to_lights_out,
+    Gains& gains_out, Colours& xyz_out, Coverage& coverage_out, Flags& illuminated_out)
 {
     constexpr int N = batch_of(BATCH);
     const LightPlace light = {{place[0], place[1], place[2], place[3]}};

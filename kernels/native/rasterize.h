@@ -20,9 +20,9 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 // Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
 constexpr double PER_PIXEL = 1 << 14;
-// Before the eye, in units of the surface: what is nearer is not visible.
+// Distance of the near plane from the eye [radii of the mesh]; faces are clipped there.
 constexpr double NEAR_PLANE = 1.0e-9;
-// Faces, and cells of a pixel, side by side.
+// Numbers of faces and of cells per batch (limits: SIMD lanes and registers).
 constexpr int FACES = 16, CELLS = 8;
 
 WARPDIFF_INLINE double lesser(double a, double b)

@@ -1,4 +1,5 @@
-// Mean colours over footprints that are wide compared with their distance from the mirror direction, or reach around it.
+// Mean colours over footprints that are wide compared with their distance from the mirror direction, or reach around
+// it.
 //
 // Such a footprint is no range of angles and ratios. Its rows are weighed by the Gaussian of (u, v) itself, at the
 // rings and azimuth samples that it covers. Rows of a mip level are means over arcs of the
@@ -11,12 +12,14 @@
 
 namespace warpdiff {
 
-// Azimuths that are weighed side by side.
+// Number of azimuths per batch (limit: SIMD lanes).
 constexpr int ARC = batch_of(8);
-// How far a Gaussian counts, in deviations: outwards, and towards the mirror direction, where surfaces are brightest.
+// Extent of the summed Gaussian [standard deviations]: outwards, and towards the mirror direction, where surfaces are
+// brightest. Limits: a larger extent sums more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// How far rings are apart at most: in ln |(u, v)|, where colours are smooth, and in deviations along (u, v); and twice
-// as far within so many of the narrow deviations.
+// Largest distance of the summed rings, in ln |(u, v)|, where colours are smooth, and in standard deviations along
+// (u, v). It doubles within `WITHIN` narrow standard deviations. With twice the distances, sums over narrow
+// Gaussians are inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Innermost ring, in the narrow deviations or in deviations of the narrowest lobe, whichever is less, and the least
 // deviation in those of that lobe.

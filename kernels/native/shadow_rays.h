@@ -9,7 +9,7 @@
 
 namespace warpdiff {
 
-// Faces of a list that are looked at together.
+// Largest number of faces of a list that are tested together (limit: size of local arrays).
 constexpr int LISTED = 32;
 
 // Points side by side: across the light in steps, heights, cells (−1 asks nothing), and whether they are hidden.

@@ -16,7 +16,7 @@ constexpr bool ON_GPU = true;
 constexpr bool ON_GPU = false;
 #endif
 
-// Elements side by side: so many on the CPU.
+// Number of elements per batch: `on_cpu` on the CPU, 1 on a GPU.
 constexpr int batch_of(int on_cpu)
 {
     return ON_GPU ? 1 : on_cpu;
@@ -108,14 +108,14 @@ WARPDIFF_INLINE bool is_empty(const Array& array)
     return array.shape[0] == 0;
 }
 
-// An index around a turn, or into an axis that repeats.
+// An index modulo the length of a periodic axis.
 WARPDIFF_INLINE int cyclic(int index, int count)
 {
     const int left = index % count;
     return left < 0 ? left + count : left;
 }
 
-// Ask for what is read soon. A GPU has other threads to run while one waits.
+// Prefetch what is read soon. A GPU runs other threads instead while one waits.
 WARPDIFF_INLINE void prefetch(const float* at)
 {
 #if !defined(__CUDA_ARCH__)

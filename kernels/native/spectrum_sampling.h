@@ -9,7 +9,7 @@
 
 namespace warpdiff {
 
-// Gaussian factors side by side, and rows of neighbours whose reach is worked out beforehand.
+// Number of Gaussian factors per batch, and of rows of neighbours whose reach is computed beforehand.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
 // How far around a place coefficients count: on each row as far as from anywhere nearest to the middle one, so that no

@@ -102,7 +102,7 @@ class Environment(Checked, Light):
         cls, path: str | os.PathLike[str], *, rotation_deg: float = 0.0, scale: float = 1.0,
         directions: int | None = None,
     ) -> Environment:  # fmt: skip
-        """Load an environment from an EXR or HDR file in linear sRGB.
+        r"""Load an environment from an EXR or HDR file in linear sRGB.
 
         Args:
             path: Latitude-longitude image.
@@ -114,6 +114,16 @@ class Environment(Checked, Light):
         Raises:
             FileNotFoundError: The file does not exist.
             ValueError: The file is not such an image.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> import warpdiff as wd
+            >>> grey = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 4\n" + 8 * bytes([128, 128, 128, 129])
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     path = pathlib.Path(folder, "grey.hdr")
+            ...     _ = path.write_bytes(grey)
+            ...     wd.Environment.load(path, scale=0.5)
+            Environment(2 × 4 pixels, rotation_deg=0, scale=0.5, directions=None)
         """
         file = validation.path(path, "path")
         files.check_file(file)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -148,7 +148,7 @@ class LightSamples:
     ) -> LightSamples:
         """Return the arrays for a number of rays, with footprints if they show ``means``."""
 
-        def empty(dtype: Any, size: int = rays) -> wp.array:
+        def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
 
         return cls(

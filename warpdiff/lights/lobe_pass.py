@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -16,6 +16,7 @@ from warpdiff.lights.light_pass import LightPass
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.lights.base import Lobe, LobeSet
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.tables.lookup import ColourLookup
@@ -38,7 +39,7 @@ class LobePass(LightPass):
         super().__init__(context, [[lobe.illuminant] for lobe in part.lobes])
         self.part = part
         self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
-        self._grids: list[Any] = []
+        self._grids: list[ShadowGrid] = []
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
@@ -47,7 +48,7 @@ class LobePass(LightPass):
         if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
             self._lights = previous._lights
         else:
-            arrays: dict[str, Any] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
+            arrays: dict[str, type] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
             for name, dtype in arrays.items():
                 setattr(self._lights, name, wp.empty(len(lobes), dtype=dtype, device=context.device))
             self._lights.deviations = wp.empty((len(lobes), 2), dtype=wp.vec3f, device=context.device)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -48,7 +48,7 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
 def distribution_for(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
-) -> Any:  # fmt: skip
+) -> sky_samples.SkyDistribution:  # fmt: skip
     """Return the struct ``SkyDistribution`` of a look-up and a sky, made or found again.
 
     Args:
@@ -66,7 +66,9 @@ def distribution_for(
     return result
 
 
-def _of_surface(lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]) -> tuple[Any, ...]:
+def _of_surface(
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
+) -> tuple[wp.array | float, ...]:
     """Return the arrays and numbers of the distribution over (u, v)."""
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv

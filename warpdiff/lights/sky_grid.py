@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from warpdiff.core.caching import LruCache
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
+    import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.optics.spectra import Spectrum
@@ -48,7 +49,7 @@ class SkyGrid:
     powers: NDArray[np.float32]
     turn: float
     directions: int
-    device_arrays: LruCache[Any] = field(default_factory=LruCache, repr=False)
+    device_arrays: LruCache[tuple[wp.array, ...]] = field(default_factory=LruCache, repr=False)
 
 
 def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:

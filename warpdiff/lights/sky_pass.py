@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -40,7 +40,7 @@ class SkyPass(LightPass):
     def __init__(self, grid: SkyGrid, context: PassContext) -> None:
         super().__init__(context, [grid.spectra])
         self.grid = grid
-        self._sky: Any = None
+        self._sky = sky_samples.Sky()
         self._blocks: list[wp.array] = []
 
     @property

@@ -33,7 +33,7 @@ class DeviceTiles:
         rays = light.light_pass.context.rays
         device = rays.options["device"]
 
-        def empty(shape: Any, dtype: Any = wp.int32) -> Any:
+        def empty(shape: int, dtype: type = wp.int32) -> wp.array:
             return wp.empty(shape, dtype=dtype, device=device)
 
         self._device, self._pixels, self._shape = device, rays.size, [rays.width, rays.height]
@@ -55,7 +55,9 @@ class DeviceTiles:
         """Number of pixels that were subdivided, of the light of which these are most."""
         return int(self._largest_count.numpy()[0])
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], size: int | None = None) -> None:
+    def _launch(
+        self, kernel: wp.Kernel, inputs: list[object], outputs: list[wp.array], size: int | None = None
+    ) -> None:
         launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:  # noqa: ARG002 (of the host's groups)

@@ -258,7 +258,7 @@ class Picture:
         wp.copy(self._shown_xyz, colours[self._inner])
         return self._shown_xyz
 
-    def _cropped(self, values: Any) -> NDArray[Any]:
+    def _cropped(self, values: wp.array | NDArray[Any]) -> NDArray[Any]:
         """Return what the view shows of values of pixels, an array on the device or on the host."""
         values = values.numpy() if isinstance(values, wp.array) else values
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
@@ -270,7 +270,7 @@ class Picture:
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)
 
-        def part(values: Any) -> Any:
+        def part(values: wp.array | NDArray[Any]) -> NDArray[Any] | None:
             return self._cropped(values)[illuminated] if len(values) else None
 
         contrasts = None

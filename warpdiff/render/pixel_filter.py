@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -130,7 +130,7 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
     return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
 
 
-def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> Any:
+def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> structs.Cells:
     """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
     # Rows begin with words of their own.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)

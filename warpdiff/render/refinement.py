@@ -114,7 +114,7 @@ class LightRefinement:
         ]  # fmt: skip
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
-    def shade_cells(self, level: int, buffers: TileBuffers, sums: Any) -> list[KernelCall]:
+    def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
         """Return the calls that trace and shade the cells in the buffers, and splat them to the pixels around."""
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
@@ -152,7 +152,7 @@ class LightRefinement:
         inputs.append(policy.silhouette_level)
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
-    def empty_tile_sums(self, tiles: int) -> Any:
+    def empty_tile_sums(self, tiles: int) -> subdivision.FilteredSums:
         """Return the struct ``FilteredSums`` of the kernels for a number of tiles."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
@@ -181,7 +181,7 @@ class TileGroup:
 
     pixels: wp.array
     tiles: wp.array
-    sums: Any
+    sums: subdivision.FilteredSums
     levels: wp.array
     share: tuple[float, float]
 

@@ -34,7 +34,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
@@ -131,7 +131,9 @@ class Renderer:
                 inputs.parts,
                 view,
             )
-        self._turn: Any = threading.Lock() if self._recorded else contextlib.nullcontext()
+        self._turn: contextlib.AbstractContextManager[object] = (
+            threading.Lock() if self._recorded else contextlib.nullcontext()
+        )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -159,7 +161,7 @@ class Renderer:
             inputs = inputs.refined(refine=validation.flag(refine, "refine"))
         return self._from_parts(inputs, self._surface, view, self._lookup)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Callable[..., Renderer], tuple[dict[str, Any]]]:
         return _unpickled, (self.__getstate__(),)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -194,6 +196,14 @@ class Renderer:
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. On a
             GPU the array may not be ready yet; ``numpy()`` synchronises.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
+            >>> view = wd.View.fit(body, width=32, height=18)
+            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> renderer.draw(wd.PointLight((1.0, 2.0, 3.0))).numpy().shape
+            (18, 32, 3)
         """
         progress = reporter(progress, "draw")
         mine = self._mine
@@ -234,7 +244,16 @@ class Renderer:
         return mine.picture.xyz
 
     def image(self) -> Image:
-        """This thread's last picture, with what it covers, on the host, where no later one changes it."""
+        """Return a copy of this thread's last picture on the host.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
+            >>> view = wd.View.fit(body, width=32, height=18)
+            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> renderer.image().xyz.shape
+            (18, 32, 3)
+        """
         if not self._mine.is_drawn:
             self.draw()
         with self._turn:
@@ -244,7 +263,7 @@ class Renderer:
             return image
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
-    def _preview_steps(self, mine: _ThreadPicture, previews: Any) -> list[tuple[float, Callable[[], None]]]:
+    def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
         """Return checked tolerances, the largest first, with the calls that each makes."""
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
@@ -323,8 +342,8 @@ class _ThreadPicture(threading.local):
     def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
         self.picture, self.parts, self.view, self.is_drawn, self.tolerance = make(), parts, view, False, 0.0
         self.is_drawing = False
-        self.graph: Any = None
-        self.graph_is_for: tuple[Any, ...] = ()
+        self.graph: wp.Graph | None = None
+        self.graph_is_for: tuple[Hashable, ...] = ()
 
 
 def records(device: wp.Device) -> bool:

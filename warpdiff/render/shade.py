@@ -143,7 +143,9 @@ class PictureInputs:
     parts: list[LightPart]
 
     @classmethod
-    def of(cls, heightfield: Any, lights: Any, view: Any, settings: PictureSettings) -> PictureInputs:
+    def of(
+        cls, heightfield: HeightField, lights: Light | Sequence[Light], view: View, settings: PictureSettings
+    ) -> PictureInputs:
         """Resolve checked settings for a height field, lights and a view; raise errors before any kernel runs."""
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(heightfield, settings, by_geometry=True, footprint=footprint)
@@ -270,7 +272,7 @@ def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means
         )
 
 
-def listed(lights: Any) -> list[Any]:
+def listed(lights: object) -> list[Light]:
     """Return one or several lights as a list."""
     several = [lights] if isinstance(lights, Light) else lights
     if not isinstance(several, Sequence) or not several:
@@ -281,7 +283,7 @@ def listed(lights: Any) -> list[Any]:
     return list(several)
 
 
-def parts_of(lights: Sequence[Any], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
+def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
     """Return the parts of lights, which are checked; without refinement a disc is a single lobe where possible.
 
     The lobes of all lights are one part, whose pixels are refined together: as errors of lights have the same causes,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
@@ -72,20 +73,20 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Return the calls that trace one of several samples of every pixel, whose places are made at once."""
+        """Compute the positions of one of several samples per pixel, and return the calls that trace them."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
         """Launch calls over the pixels' own rays."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
-    def calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+    def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
         """Return the calls that find hits of rays, and the shading frames there."""
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
         return [trace, *self._known_face_calls(sampling, gbuffer)]
 
-    def _known_face_calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+    def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
         """Return the calls that intersect rays with the faces that are known to be nearest."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         return [
@@ -93,7 +94,7 @@ class CameraRays:
             KernelCall(primary_hits.make_shading_frames, [self.scene.bare, gbuffer.pixels], [], in_runs=True),
         ]
 
-    def _sampling(self, sample: int, samples: int) -> Any:
+    def _sampling(self, sample: int, samples: int) -> Sampling:
         """Return the positions of a sample of every pixel; a single one is in the centre."""
         sampling = Sampling()
         if samples > 1:
@@ -110,8 +111,8 @@ class CameraRays:
         self,
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
-    ) -> list[Any]:
-        """Return the structs ``ShadowGrid`` for shadow rays to lights, which here ask the hierarchy.
+    ) -> list[ShadowGrid]:
+        """Return the structs ``ShadowGrid`` for shadow rays to lights; these use the hierarchy.
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
@@ -121,37 +122,39 @@ class CameraRays:
 
 
 class RasterizedRays(CameraRays):
-    """Camera rays on the CPU: faces are rasterized first, so that a ray meets a known face, or none.
+    """Camera rays on the CPU: rasterization finds the nearest face of each ray beforehand.
 
     Rasterizing takes a quarter of the time that a hierarchy takes there, so that this class stays apart.
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Return the calls that trace one of several samples of every pixel, whose faces are found at once."""
+        """Rasterize one of several samples per pixel, and return the calls that find its hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
         return self.calls(sampling, self.gbuffer)
 
-    def calls(self, sampling: Any, gbuffer: GBuffer) -> list[KernelCall]:
+    def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
         """Return the calls that find hits of rays whose nearest faces are known, and the shading frames there."""
         return self._known_face_calls(sampling, gbuffer)
 
-    def rasterize_cells(self, cells: Any, pixels: int) -> NDArray[np.uint64]:
+    def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
         """Return the nearest faces of the cells of a number of pixels, pixel after pixel."""
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
 
-    def _rasterize(self, sampling: Any, cells: Any, most_offset: float, nearest: wp.array) -> None:
+    def _rasterize(self, sampling: Sampling, cells: Cells, most_offset: float, nearest: wp.array) -> None:
         inputs = [self.camera, self.scene.bare, sampling, cells, most_offset]
         launch(
             primary_hits.rasterize, self.scene.face_count, inputs, [nearest], slice_size=_FACES_OF_SLICE, in_runs=True,
             **self.options,
         )  # fmt: skip
 
-    def shadow_grids(self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]) -> list[Any]:
-        """Return grids of faces if they pay for so many shadow rays and fit, and otherwise ask the hierarchy."""
+    def shadow_grids(
+        self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
+    ) -> list[ShadowGrid]:
+        """Return grids of faces if they save time and fit in memory, otherwise grids that use the hierarchy."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         return [

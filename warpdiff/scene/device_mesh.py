@@ -1,9 +1,9 @@
-"""Meshes and cameras on a Warp device, as the ray kernels take them."""
+"""Meshes and cameras on a Warp device, in the structs of the ray kernels."""
 
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -13,11 +13,12 @@ from warpdiff.core.caching import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays
 
 if TYPE_CHECKING:
+    from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
 
-# Faces in a leaf of a hierarchy on the CPU.
+# Number of faces per leaf of a hierarchy on the CPU. Limit: other values change the time of rays, not their hits.
 _LEAF = 4
 # A hierarchy is built once, by one thread.
 _once = forks.lock()
@@ -32,12 +33,12 @@ class SceneArrays:
     The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
 
     Attributes:
-        bare: The struct for kernels, with a hierarchy once one was asked for: faces know their pixels.
+        bare: The struct for kernels; it has a hierarchy after the first call of :meth:`with_hierarchy`.
         face_count: Number of faces.
         grids: The last lights' grids for shadow rays.
     """
 
-    def __init__(self, surface: Surface, *, smooth: bool = True, device: Any = None) -> None:
+    def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
         """Copy the arrays to the device; unless ``smooth``, every face shows its own normal, not the vertices'."""
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
@@ -53,13 +54,13 @@ class SceneArrays:
         self.face_count = len(surface.faces)
         self.bare = arrays
         self._mesh: wp.Mesh | None = None
-        self.grids: LruCache[Any] = LruCache(_MOST_GRIDS)
+        self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
-    def with_hierarchy(self) -> Any:
-        """The struct with a hierarchy, built or found again; on the CPU shadow rays alone may need it."""
+    def with_hierarchy(self) -> SurfaceArrays:
+        """Return the struct with a hierarchy, which is built once."""
         with _once:
             if self._mesh is None:
-                # Made in half the time there, where a moving mesh's waits for it.
+                # On the CPU this constructor takes half the time of the default one.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
                     points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
@@ -69,13 +70,13 @@ class SceneArrays:
         return self.bare
 
 
-def arrays_for(surface: Surface, *, smooth: bool, device: Any) -> SceneArrays:
-    """The arrays of a surface, made or found again."""
+def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
+    """Return the cached arrays of a surface."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
-def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Any:
+def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
     """The :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
     It has a ``margin`` of so many more pixels on each side. Its ``axes``, (5,) of ``wp.vec3d``, are set.
@@ -97,7 +98,7 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
-    """Whether a point that the view shows could be shadowed: not on a convex body seen from outside."""
+    """Return whether any visible point could be shadowed; on a convex body viewed from outside none can."""
     if not surface.is_convex:
         return True
     frame = view.frame()

@@ -1,9 +1,8 @@
-"""G-buffers: what rays hit and the shading frames there, without any light."""
+"""G-buffers: hits of rays and the shading frames there, without any light."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -22,13 +21,13 @@ class GBuffer:
         pixels: The struct ``Pixels`` of the kernels, whose arrays have one entry per ray.
     """
 
-    pixels: Any
+    pixels: Pixels
 
     @classmethod
     def allocate(cls, rays: int, *, coloured: bool, device: wp.Device) -> GBuffer:
         """Return the arrays for a number of rays, with base colours if ``coloured``."""
 
-        def empty(dtype: Any, size: int = rays) -> wp.array:
+        def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
 
         pixels = Pixels()

@@ -12,8 +12,9 @@ from warpdiff.optics.colorimetry import srgb_decode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+    from PIL import Image
 
-# Key under which Pillow's image holds why it could not be decoded.
+# Key of ``PIL.Image.info`` for the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
 
 
@@ -34,7 +35,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
         return (texture * linear).astype(np.float32), None
     image = getattr(material, "image", None)
     if image is not None:
-        # trimesh gives a mesh without a material a few grey pixels for one.
+        # For a mesh without a material, trimesh makes a texture of a few grey pixels.
         invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
         texture = None if invented else _image(image)
         if invented or texture is not None:
@@ -46,7 +47,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
     return None, (None if np.array_equal(diffuse, DEFAULT_COLOR) else srgb_decode(colour))
 
 
-def _image(image: Any) -> NDArray[np.float32] | None:
+def _image(image: Image.Image) -> NDArray[np.float32] | None:
     """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
     if damage := _damage(image):
         texture = image.info.get("file_path") or "an image"
@@ -56,18 +57,18 @@ def _image(image: Any) -> NDArray[np.float32] | None:
         # 16-bit grey; converting it to RGB would clip at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # A table, for a megapixel's transfer function takes longer than all else here.
+    # A table of 256 values avoids the transfer function of every pixel, which would take most of the time.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 
 
-def _damage(image: Any) -> str:
-    """Why a PIL image cannot be decoded, or nothing."""
+def _damage(image: Image.Image) -> str:
+    """Return the reason why a PIL image cannot be decoded, or an empty string."""
     if _DAMAGE not in image.info:
         try:
             image.load()
             image.info[_DAMAGE] = ""
         except Exception as error:
-            # Decoders raise whatever they stumble over, and the next time may pass with what they have got.
+            # Decoders raise errors of any type, and a second attempt may pass with a partial image.
             image.info[_DAMAGE] = str(error) or type(error).__name__
     return str(image.info[_DAMAGE])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpdiff.core import validation
 from warpdiff.core.warnings import warn
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     import trimesh
     from PIL import Image
+    from trimesh.resolvers import FilePathResolver
 
 
 def load(path: str | os.PathLike[str]) -> trimesh.Scene:
@@ -36,7 +37,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
         # process=False: merging vertices would tear the texture along its seams.
         scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, contents, reasons))
     except Exception as error:
-        # trimesh's loaders raise whatever their parser happened to stumble over.
+        # trimesh's loaders raise errors of any type.
         raise ArgumentValueError(
             f"{ref('mesh')} must be a file that trimesh can read, got {str(file)!r}, which is damaged, truncated or of "
             f"another format: {error}"
@@ -60,8 +61,8 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     return scene
 
 
-def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> Any:
-    """A resolver of the files that a mesh names, which notes their ``contents``, or the ``reasons`` if it has none."""
+def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> FilePathResolver:
+    """Return a resolver of a mesh's files that records their ``contents``, or the ``reasons`` why they are missing."""
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]
@@ -82,7 +83,7 @@ def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -
 
 
 def _why_no_image(name: str, data: bytes) -> str:
-    """Why what is called an image cannot be opened as one, or nothing; pixels are not yet decoded."""
+    """Return the reason why a file cannot be opened as an image, or an empty string; pixels are not decoded."""
     from PIL import Image
 
     if Path(name).suffix.lower() not in Image.registered_extensions():
@@ -97,7 +98,7 @@ def _why_no_image(name: str, data: bytes) -> str:
 
 
 def _images(scene: trimesh.Scene) -> Iterator[Image.Image]:
-    """The base colours' images of a scene."""
+    """Yield the images of base colours of a scene."""
     for geometry in scene.geometry.values():
         material = getattr(getattr(geometry, "visual", None), "material", None)
         for name in ("image", "baseColorTexture"):

@@ -26,7 +26,7 @@ SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
 class FaceGeometry:
-    """Edges, areas, normals and angles of faces, each worked out once.
+    """Edges, areas, normals and angles of faces, each computed once.
 
     Attributes:
         edges: From each corner to the next one, shape (3, 3, m): component, corner, face.
@@ -129,7 +129,7 @@ def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) ->
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of 0 … count − 1 that are there, in order, and the indices among these."""
+    """Numbers of 0 … count − 1 that occur, in order, and the indices among these."""
     is_used = np.zeros(count, dtype=np.bool_)
     is_used[indices] = True
     if is_used.all():
@@ -294,7 +294,7 @@ def is_convex(
 
     if np.all(np.abs(heights_over(0)) <= 1e-6):
         return True
-    # Most bodies are not, which a few faces tell: something lies above them.
+    # Most bodies are not convex, and a few faces show it: other vertices lie above them.
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False

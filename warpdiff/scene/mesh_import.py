@@ -50,7 +50,7 @@ _GEOMETRY = f"{ref('mesh')}'s geometry "
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh as the ray kernel takes it; n vertices, m faces, each with an area, every vertex in use.
+    """A mesh for the ray kernels, of n vertices and m faces; every face has an area, and every vertex a face.
 
     Attributes:
         vertices: Positions in the unit sphere, (world − ``centre``) / ``radius``, shape (n, 3), float32.
@@ -272,7 +272,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if not worked_out:
         return normals.T
     corners = np.ascontiguousarray(faces.T)
-    # A few faces' vertices are enough to tell most.
+    # Vertices of a few faces decide most cases.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):

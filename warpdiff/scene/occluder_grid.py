@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 # Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
 # faster: large faces lie one above the other, or small ones close together.
 _MOST_CELLS, _MOST_LISTED = 16, 48
-# Faces of a slice.
+# Number of faces per slice of a launch. Limit: other values change the time only.
 _SLICE = 4096
 
 
-def no_grid(scene: SceneArrays) -> Any:
-    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` that has no lists and asks the hierarchy, for any light."""
+def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
+    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists, which uses the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -35,7 +35,7 @@ def no_grid(scene: SceneArrays) -> Any:
 
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
-) -> Any:
+) -> shadow_rays.ShadowGrid:
     """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface under a light on the CPU, made or found again.
 
     That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
@@ -44,7 +44,9 @@ def grid_for(
     return scene.grids.get_or_make(tuple(to_light), make)
 
 
-def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int) -> Any:
+def _made(
+    surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
+) -> shadow_rays.ShadowGrid:
     towards = np.array(to_light)
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
     across /= np.linalg.norm(across)
@@ -55,7 +57,7 @@ def _made(surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, de
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # As many cells as faces.
+    # The grid has about as many cells as faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
