@@ -42,7 +42,7 @@ _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts of a footprint along its angle. Limit: each part takes time.
 MOST_PARTS = 12
-# Number of standard deviations up to which rings count for a wide blur.
+# Rings of the table within this number of standard deviations contribute to a wide blur.
 DEVIATIONS = 3.0
 
 

@@ -319,7 +319,7 @@ class Row:
 
 
 def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
-    """Pairs of times of two functions, which get the numbers 0 to ``count`` − 1; one of them begins, then the other."""
+    """Return pairs of times of two functions, which are called ``count`` times with an index and take turns to be first."""
     pairs = []
     for k in range(count):
         begins = (first + k) % 2

@@ -1,8 +1,8 @@
 """The published algorithm in Dr.Jit (Jakob et al. 2022), compiled for the CPU by LLVM.
 
 Directions are SIMD, wavelengths a symbolic loop, neighbours and terms unrolled. A neighbour's terms come by packets of
-contiguous floats, which LLVM transposes, and the series goes by Horner's rule, whose factorials are in the table: that
-takes a tenth less time than a basis for every term.
+contiguous floats, which LLVM transposes. The series is evaluated by Horner's rule; the table contains the factors 1/n!.
+This requires a tenth less time than a basis function for every term.
 
 It needs LLVM's shared library, which Dr.Jit finds by its usual names or through ``DRJIT_LIBLLVM_PATH``.
 """

@@ -79,7 +79,7 @@ class Integral:
         if index is not None:
             name = f"n{index:g}"
             Path(self._folder.name, f"{name}.txt").write_text(f"2.0 {1.0 - index} 0.0\n3.0 {1.0 - index} 0.0\n")
-        # The mesh is graded towards corners; in the solver's words a wavelength takes 6 points in the coarsest part.
+        # The mesh is finer towards corners. Its coarsest part has 6 points per wavelength, as the solver defines them.
         points = 24.0 * (period + 2.0 * depth) * max(1.0, (index or 1.0) / 1.5)
         scan = self._solver.solve(
             self._problem(period=WAVELENGTH_NM * period, profile=profile, coating=name),

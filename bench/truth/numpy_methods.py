@@ -203,7 +203,7 @@ def windowed_powers(
     heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
     neighbour_extent=None, floor=False,
 ):  # fmt: skip
-    """⟨|P|²⟩ under averaged windows, shape (n, m).
+    """⟨|P|²⟩, averaged over all positions of the Gaussian window, shape (n, m).
 
     Args:
         heightfield: The height field.

@@ -373,9 +373,9 @@ def reflected(material, to_light, to_view, wavelengths_um):
 
 
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
-    """∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ of deflections (n, 3), shape (n, 3).
+    """XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (n, 3).
 
-    The step is halved until XYZ moves by less than a twentieth of the tolerance.
+    The step in wavelength is halved until XYZ changes by less than a twentieth of the tolerance.
     """
     result = np.zeros((len(scattering_vectors), 3))
     if len(scattering_vectors) == 0:

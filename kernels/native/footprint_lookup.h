@@ -28,7 +28,7 @@ constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // else is in them, and azimuths where these turn from ring to ring.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Number of standard deviations up to which rings count for a wide blur. The truncated Gaussian has the variance
+// Rings of the table within this number of standard deviations contribute to a wide blur. The truncated Gaussian has the variance
 // 1/per_variance.
 struct CutGaussian {
     float deviations, per_variance;

@@ -85,7 +85,7 @@ WARPDIFF_INLINE void put_hits(const Camera& camera, const Surface& surface, cons
     hits.count = 0;
 }
 
-// Intersect rays of pixels, or of tiles, from begin to end, with their faces; UNSEEN stands for none.
+// Intersect the rays of pixels or cells from `begin` to `end` with the face that each one covers; UNSEEN is no face.
 template <int BATCH, unsigned long long UNSEEN, class Camera, class Surface, class Sampling, class Pixels>
 WARPDIFF_INLINE void intersect_known_faces(
     const Camera& camera, const Surface& surface, const Sampling& sampling, const Pixels& pixels, int begin, int end)

@@ -72,7 +72,8 @@ def test_summary_and_plan_say_it():
     heightfield = wd.gratings.sinusoidal(2.0, 0.2)
     for text in (str(heightfield.summary()), str(wd.plan(heightfield)), str(wd.plan(heightfield, method="direct"))):
         assert (
-            "qualitative at 550 nm: order efficiencies may be off by up to 72 % of the reflected power: do not" in text
+            "qualitative at 550 nm: order efficiencies may be off by up to 72 % of the reflected power (error bound 0.72"
+            in text
         )
     assert "qualitative at 550 nm: order efficiencies may be off by up to 100 % of the" in scalar_error_text(1.5)
     assert "reliable at 550 nm: order efficiencies may be off by up to 9.9 % of the" in scalar_error_text(0.0994)

@@ -32,7 +32,7 @@ _WIDTH = 0.4
 # Share of a ring's light that is distributed evenly over its azimuths, and of all light over the rings: places that are
 # dark at the cosines above may be bright at others.
 _EVEN_SHARE = 0.05
-# Blocks of the sky's grid that are drawn from: so many cells along a side.
+# Number of cells along a side of a block of the sky's grid. Directions are drawn from blocks.
 _CELLS_OF_BLOCK = 4
 
 

@@ -56,8 +56,8 @@ _SEARCH_DIRECTIONS = 16_000
 # Least number of directions for which an explicit method that adds powers in float32 is tried: only a trial finds its
 # rounding. Limit: fewer are not worth a second.
 _FEWEST_TRIED = 16
-# Number of calls like this one over which a table may pay. Limit: a picture that is worth a table is rendered again,
-# with another light or view.
+# Assumed number of calls like this one that share the cost of a table. Limit: a picture that is worth a table is
+# rendered again, with another light or view.
 _EXPECTED_REPEATS = 3
 
 

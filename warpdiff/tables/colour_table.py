@@ -184,7 +184,7 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Fields of a table's struct but for those of its levels, with rows that are not filled."""
+    """Return the fields of a table's struct besides its levels. Arrays of rows are allocated, but not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
     # A source's lobes are as wide in (u, v) at all wavelengths.

@@ -92,11 +92,11 @@ class Session:
         request: The newest request.
         in_flight: Number of pictures that were sent and that the page has not shown.
         open: Whether the page is connected.
-        generation: Generation whose stages are drawn.
-        stage: Index of the next stage.
+        generation: Number of the request whose stages of refinement are drawn.
+        stage: Index of the next stage of refinement.
         drawn_at: Time at which the first stage was drawn.
         drawn_request: Request that the last picture answered.
-        exposure: Automatic exposure of the last picture at rest, or of the first one.
+        exposure: Automatic exposure of the last picture while nothing moved, at first of the first picture.
         picture: The last picture, with the options of its display.
     """
 

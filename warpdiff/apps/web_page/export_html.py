@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # Least distance of a light from the centre of the mesh [radii]. Limit: its shadow map is one picture of the mesh.
 _NEAREST = 1.1
-# Texels along a side of the page's grid over (u, v), and frames that a picture at rest adds up.
+# Number of texels along a side of the page's grid over (u, v), and of the frames that are averaged while nothing moves.
 _SIZE, _FRAMES = 1024, 1024
 # The zeroth order's wavelengths: as many as a page has look-ups left for.
 _WAVELENGTHS = 10
