@@ -319,7 +319,7 @@ class Row:
 
 
 def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
-    """Return pairs of times of two functions, which are called ``count`` times with an index and take turns to be first."""
+    """Return pairs of times of two functions that are called ``count`` times with an index and take turns."""
     pairs = []
     for k in range(count):
         begins = (first + k) % 2

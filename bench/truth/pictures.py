@@ -17,7 +17,7 @@ def scaled(fov_deg: float, factor: float) -> float:
 
 
 def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """Return the view with ``points`` × ``points`` points per pixel and a margin of additional pixels around the picture."""
+    """Return the view with ``points`` × ``points`` points per pixel and a margin of additional pixels."""
     width, height = view.width + 2 * margin, view.height + 2 * margin
     fov = scaled(view.fov_y_deg, height / view.height)
     return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)

@@ -72,7 +72,7 @@ def test_summary_and_plan_say_it():
     heightfield = wd.gratings.sinusoidal(2.0, 0.2)
     for text in (str(heightfield.summary()), str(wd.plan(heightfield)), str(wd.plan(heightfield, method="direct"))):
         assert (
-            "qualitative at 550 nm: order efficiencies may be off by up to 72 % of the reflected power (error bound 0.72"
+            "qualitative at 550 nm: order efficiencies may be off by up to 72 % of the reflected power (bound 0.718)"
             in text
         )
     assert "qualitative at 550 nm: order efficiencies may be off by up to 100 % of the" in scalar_error_text(1.5)

@@ -274,7 +274,5 @@ def scalar_error_text(bound: float) -> str:
             f"{text} the surface is too deep and too steep (error bound {bound:.3g}; reliable below {SCALAR_RELIABLE})"
         )
     percent = float(f"{100.0 * min(bound, 1.0):.2g}")
-    text = (
-        f"{text} order efficiencies may be off by up to {percent:g} % of the reflected power (error bound {bound:.3g})"
-    )
+    text = f"{text} order efficiencies may be off by up to {percent:g} % of the reflected power (bound {bound:.3g})"
     return text if grade == "reliable" else f"{text}: do not trust brightness"
