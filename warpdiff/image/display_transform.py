@@ -101,7 +101,7 @@ GAMUTS: dict[GamutName, Gamut] = {
 }
 
 
-# Of products with matrices of 3 × 3, other threads make nothing faster.
+# Additional threads do not make products with 3 × 3 matrices faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB, encoded as sRGB is, 0 to 1.
@@ -130,7 +130,7 @@ def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = 
 
 
 def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, exact: bool) -> NDArray[np.float64]:
-    """What a display shows of XYZ (n, 3)."""
+    """Return the display values of XYZ (n, 3)."""
     to_rgb = GAMUTS[gamut].xyz_to_rgb
     if display == "clip":
         return colorimetry.srgb_encode(flat @ to_rgb.T)
@@ -221,7 +221,7 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Of a grey all three roots are L.
+        # All three roots of a grey are L.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 

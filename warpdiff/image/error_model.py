@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Error of a mean over a pixel over the 99th percentile of a plan's errors, where the contrast to the neighbours is as
-# large as the colour (fitted): a table errs where colours change, by the eighth root of how much they do.
+# large as the colour. Fitted: the error of a table grows with the eighth root of the change of colour.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # Bound of 95 of 100 errors over the root sum of squares of the errors of cells and of the table (fitted).
 _BOUND_OF_BOTH = 1.1

@@ -138,7 +138,7 @@ class Image:
     def _auto_exposure(self, display: display_transform.Display) -> float:
         luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
         most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-        # Of fewer than two there is no other.
+        # A single pixel is not excluded.
         mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
         return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -183,7 +183,7 @@ class Image:
         self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName,
         background: Image | ArrayLike | None, *, exact: bool = True,
     ) -> NDArray[np.float32]:  # fmt: skip
-        """What :meth:`display` returns, at a linear factor."""
+        """Return the result of :meth:`display`, at a linear factor."""
         behind = self._behind(background, display, factor, gamut, exact=exact)
         encoded = self._encoded(display, factor, gamut, exact=exact)
         if behind is None:
@@ -211,7 +211,7 @@ class Image:
                 raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
             factor = validation.positive(exposure, "exposure")
         elif source is not None or scales:
-            # Of a picture all but black it may be more than any that can be given, and float32 would overflow.
+            # The automatic factor of a nearly black picture may exceed the limit, and float32 would overflow.
             factor = min((source or self)._auto_exposure(display), validation.MOST)
         else:
             factor = 1.0
