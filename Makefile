@@ -73,7 +73,7 @@ docs: $(DOCS_STAMP) ## build the documentation site into docs/_build/html
 	@echo "the site is docs/_build/html/index.html"
 
 clean: ## remove the environment, caches, builds and the demonstration's pictures
-	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results docs/_build docs/gallery docs/reference *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results docs/_build docs/gallery docs/reference docs/tutorials/*.npy docs/tutorials/*.png docs/tutorials/*.exr docs/tutorials/*.glb docs/tutorials/*.html docs/tutorials/results.json *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find warpdiff kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # An environment made by hand is kept; only its version is checked.
