@@ -40,3 +40,17 @@ def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherenc
     assert not recwarn.list
     with pytest.warns(wd.WarpdiffWarning, match=rf"supports \|\(u, v\)\| up to {limit:.3g} at 400 nm"):
         refusals.warn_of_aliasing(heightfield, plan, beyond)
+
+
+@pytest.mark.parametrize(
+    ("coherence", "name"),
+    [
+        (wd.Coherence("source", angular_diameter_deg=1e-15), "angular_diameter_deg"),
+        (wd.Coherence(sigma_um=1e15), "sigma_um"),
+    ],
+)
+def test_the_longest_coherence_is_refused_by_its_own_name(coherence, name):
+    heightfield = wd.gratings.sinusoidal(2.0, 0.1)
+    for call in (lambda: wd.plan(heightfield, coherence=coherence), lambda: wd.bake(heightfield, coherence=coherence)):
+        with pytest.raises(wd.ToleranceError, match=f"^{name}=1e.?15|^{name}=1000000000000000"):
+            call()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core.validation import MOST
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield import diagnostics
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM, NM_PER_UM
@@ -100,7 +101,8 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     """Samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
     Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their
-    distance, so that orders pass as Gaussians, and the colour curves add a constant.
+    distance, so that orders pass as Gaussians, and the colour curves add a constant. No number exceeds the limit of a
+    plan; plans near it are refused by their number of wavelengths.
     """
     if coherence.kind == "replicas":
         # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
@@ -110,13 +112,13 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     per_deviation, cycles = quintic * _SAMPLES_PER_DEVIATION, quintic * _SAMPLES_PER_CYCLE
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
-        return order_rate, cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
+        return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
     # van Cittert and Zernike is in proportion to λ, unchanged.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
-    return order_rate, wider * cycles * heightfield.height_range_um, wider * _COLOUR_BANDWIDTH_UM
+    return min(order_rate, MOST), wider * cycles * heightfield.height_range_um, wider * _COLOUR_BANDWIDTH_UM
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
