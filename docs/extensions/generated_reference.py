@@ -12,11 +12,11 @@ from warpdiff.request import settings
 
 # Settings of public functions, from the general ones to those of pictures.
 SETTINGS = {
-    "PlanSettings": "`warpdiff.plan`",
-    "EvaluationSettings": "`warpdiff.reflectance`, `warpdiff.reflectance_map`",
-    "SpectralSettings": "`warpdiff.spectral_reflectance`, `warpdiff.brdf`",
-    "PictureSettings": "`warpdiff.shade`, `warpdiff.Renderer`",
-    "SinglePictureSettings": "`warpdiff.shade`",
+    "PlanSettings": "warpdiff.plan",
+    "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map",
+    "SpectralSettings": "warpdiff.spectral_reflectance, warpdiff.brdf",
+    "PictureSettings": "warpdiff.shade, warpdiff.Renderer",
+    "SinglePictureSettings": "warpdiff.shade",
 }
 GROUPS = {
     "Surfaces": ["HeightField", "Period", "gratings", "datasets"],
@@ -49,13 +49,12 @@ def options_page() -> str:
     """Return the tables of options."""
     lines, seen = [], set()
     for name, functions in SETTINGS.items():
-        lines += [f"## {functions.replace('`', '')}", ""]
+        lines += [f"## {functions}", ""]
         lines += ["| option | type | range or choices | unit | default | meaning |", 6 * "| --- " + "|"]
         for option in describe(getattr(settings, name)).values():
             allowed = option.range or ", ".join(f"`{choice!r}`" for choice in option.choices)
             default = "required" if option.default is REQUIRED else f"`{option.default!r}`"
-            mark = "" if option.name not in seen else " (as above)"
-            meaning = cell(option.help).replace("``", "`") if not mark else "as above"
+            meaning = "as above" if option.name in seen else cell(option.help).replace("``", "`")
             kind = option.kind + (" or None" if option.optional else "")
             lines.append(
                 f"| `{option.name}` | {kind} | {cell(allowed)} | {option.unit} | {cell(default)} | {meaning} |"
