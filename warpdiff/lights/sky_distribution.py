@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +44,20 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
         wp.array(grid.powers, dtype=wp.vec3f, device=device),
         *(wp.array(values, dtype=wp.float32, device=device) for values in arrays),
     )
+
+
+def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
+    """Return the look-up of colours under a sky, made or found again.
+
+    Directional lights of the same picture may need a table of eight times as many rings. It is not made for the sky's
+    spectra.
+    """
+    plan = lookup.plan
+    rings, azimuths = polar_grid.size_for_skies(plan)
+    if rings == plan.rings_per_octave:
+        return lookup
+    smaller = replace(plan, rings_per_octave=rings, azimuths_per_width=azimuths)
+    return lookup.derived.get_or_make(smaller, lambda: lookup.copy_with(smaller))
 
 
 def distribution_for(

@@ -89,6 +89,7 @@ class SkyPass(LightPass):
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
+        lookup = sky_distribution.lookup_for_skies(lookup)
         share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
         table = sky_distribution.distribution_for(lookup, self.illuminated[0], self._blocks, sky_share=share)
         mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0

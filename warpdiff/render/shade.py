@@ -161,7 +161,8 @@ class PictureInputs:
             )
         check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        spectra = [name for part in parts for name in part.spectra]
+        # A search for tables would make one per spectrum. Those of skies are smooth, and need no search.
+        spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
 
@@ -204,7 +205,11 @@ class PictureInputs:
         nothing but darkness to all directions of the sample, get the smallest one that is expected to suffice.
         """
         evaluation = self.evaluation
-        plan = evaluation.plan or plan_for(evaluation, direction_range, sample, count)
+        request = evaluation
+        if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
+            # No table is tried, as skies do not depend on its errors in single directions.
+            request = replace(evaluation, integration="sampled", footprint=False)
+        plan = evaluation.plan or plan_for(request, direction_range, sample, count)
         if not plan.uses_footprints and any(part.has_extent for part in self.parts):
             method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
             if any(part.has_lobes and part.has_extent for part in self.parts):
@@ -213,9 +218,7 @@ class PictureInputs:
                 )
                 plan = plan_for(by_table, direction_range, sample, count)
             if not plan.uses_footprints:
-                rings, azimuths = (
-                    polar_grid.smallest_sufficient_size(plan) or polar_grid.table_sizes(plan.coherence)[-1]
-                )
+                rings, azimuths = polar_grid.size_for_skies(plan)
                 plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
         return evaluation.with_energy(plan)
 

@@ -76,10 +76,10 @@ class ColourLookup:
             calls, len(gains) if among is None else among, device=self.device, threads=self._threads, **options
         )
 
-    def copy_with(self, *, zeroth_order: bool) -> ColourLookup:
-        """Return a look-up by the same plan with or without the zeroth order, with tables of its own."""
+    def copy_with(self, plan: Plan) -> ColourLookup:
+        """Return a look-up of the same directions by another plan, with tables of its own."""
         return ColourLookup(
-            self.heightfield, self.plan, self._range, zeroth_order=zeroth_order, device=self.device,
+            self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, device=self.device,
             threads=self._threads,
         )  # fmt: skip
 
