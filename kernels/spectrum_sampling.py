@@ -41,7 +41,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrate the spectrum along one azimuth, for the rings of an octave, into rows from ``begin`` on."""
+        """Integrate the spectrum along one azimuth, for the rings of one octave, into rows from ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
@@ -139,7 +139,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy rows of a few azimuths, from one ring before an octave on, ``length`` rows for each azimuth."""
+        """Copy rows of a few azimuths, from one ring before the octave on, ``length`` rows for each azimuth."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
