@@ -6,7 +6,7 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
-# These compiler flags preserve infinities, on which the hierarchy's tests of boxes rely.
+# The hierarchy's tests of boxes rely on infinities, which the project's compiler flags preserve.
 wp.set_module_options(compile_options.options())
 
 # Length of a ray [radii of the mesh]. Derived: a ray starts at most 2 radii before its point nearest to the centre, so

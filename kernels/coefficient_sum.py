@@ -2,7 +2,7 @@
 
 One thread computes one direction. At each wavelength, coefficients near q = (u, v)/λ are weighted by the Gaussian of
 the coherence, as powers or as amplitudes. For finitely many periods of the patch, an interpolation kernel weights
-amplitudes on a finer grid, and the interference factor of the periods multiplies the result. A coefficient is the
+amplitudes on a finer grid. The result is multiplied by the interference factor of the periods. A coefficient is the
 scalar product of its row in a table and a basis in κ = w/λ, which all coefficients share. The basis is interpolated
 from a second table, so that the kernels serve any series.
 """
@@ -132,7 +132,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """Return the Gaussian over coefficients for one direction to the light."""
         window = Window()
         if wp.static(form == "source"):
-            # Σ⁻¹ = (1 + t tᵀ/cos²θ)/s² has the determinant 1/(s⁴cos²θ). Its Cholesky factors avoid cancellation.
+            # Σ⁻¹ = (1 + t tᵀ/cos²θ)/s² has the determinant 1/(s⁴cos²θ). The Cholesky factors of Σ⁻¹ avoid
+            # cancellation.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent

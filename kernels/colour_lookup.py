@@ -3,13 +3,13 @@
 As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency plane, over one octave. The power
 spectrum is sampled on azimuths, at rings of equal ratios. The value of a ring is the integral of the spectrum under a
 quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights
-are the projection of the colour curves on the same splines, for any number of orders along the azimuth. They are equal
-at radii with equal ratios. They depend on w through a few shared functions, so that the sum is computed in advance. A
-look-up interpolates between rings and azimuths, and multiplies by the functions at w.
+are the projection of the colour curves on the same splines, for any number of orders along the azimuth. All radii with
+equal ratios share the weights. The weights depend on w through a few functions, so that the sum is computed in advance
+for each function. A look-up interpolates between rings and azimuths, and multiplies by the functions at w.
 
 A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
 at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. Blur in ratio is a sum over
-more rings at look-up. A source blurs the lines of an endless surface in the same way.
+more rings at look-up. A source has the same effect on the lines of an endless surface.
 """
 
 import functools

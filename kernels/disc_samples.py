@@ -11,8 +11,9 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Share of the samples that are drawn around the mirror direction, and the largest distance of that direction from the
-# disc for this [standard deviations of the zeroth order]. Choices: other values change the noise, not the mean.
+# Share of the samples that are drawn around the mirror direction if that direction is near the disc. ``REACH`` is the
+# largest distance from the disc that counts as near [standard deviations of the zeroth order]. Choices: other values
+# change the noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 

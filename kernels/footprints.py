@@ -1,7 +1,8 @@
 """Footprints of pixels in (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray hits.
 
-The view direction, the hit on the face's plane, its shading frame and (u, v) are differentiated in closed form with
-respect to the position in the picture. Neighbouring pixels are not used, so that edges do not affect footprints.
+The view direction, the hit point and the shading frame are differentiated in closed form with respect to the position
+in the picture. The derivatives of (u, v) follow from them. Neighbouring pixels are not used, so that edges do not
+affect footprints.
 """
 
 import warp as wp

@@ -221,9 +221,9 @@ def add_light_extent(
 ):  # fmt: skip
     """Widen footprints in (u, v) by the extent of a light: both covariances are added.
 
-    If ``towards`` is empty, the extent is that of the light's directions. Otherwise it is a Gaussian around each
-    pixel's direction in ``towards``. Its standard deviation is the share ``extent`` of the disc's radius, which is
-    twice the light's deviations.
+    If ``towards`` is empty, the extent is that of the light's directions. Otherwise the extent is a Gaussian around each
+    pixel's direction in ``towards``, with a standard deviation of ``extent`` radii of the disc. The radius is twice the
+    light's deviations.
     """
     own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()

@@ -44,8 +44,8 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     """Return the position of a sample in a pixel, (right, down) of the centre [pixels].
 
     Offsets have the distribution of the pixel filter, a Gaussian of 0.5 pixel truncated at 1.5, so that all samples
-    have equal weights. They follow the R2 sequence, rotated for each pixel by a hash (Cranley-Patterson). The sequence
-    is exact at any index, as it is in 32-bit integers.
+    have equal weights. Samples follow the R2 sequence, rotated for each pixel by a hash (Cranley-Patterson). In
+    32-bit integers the sequence is exact at any index.
     """
     result = wp.vec2d()
     if samples > 1:
@@ -210,8 +210,8 @@ def make_shading_frames(
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.
 
-    The frame is right-handed on both sides of the surface. For a view from behind, the normal is reversed, t does not
-    change, and the bitangent b = (n × t) · handedness uses the reversed normal. The height field is then on that side
+    The frame is right-handed on both sides of the surface. For a view from behind, the normal is reversed and t does
+    not change. The bitangent b = (n × t) · handedness uses the reversed normal. The height field is then on that side
     with the same x direction.
 
     Args:

@@ -17,21 +17,22 @@ FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # cells of the level before, and takes four times the time.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# Least tolerance at which the finest level is one lower. Limit: the remaining error is within such a tolerance.
+# Least tolerance at which the finest level is one lower. Limit: the remaining
+# error is within tolerances of this size.
 COARSE_TOLERANCE = 0.05
 # Least level of pictures without footprints. Limit: one ray per pixel does not indicate how much the pixel varies.
 LEAST_LEVEL_OF_POINTS = 2
-# Estimated error of a pixel with one ray, relative to the contrast with its neighbours, as a sum of three terms: a
-# constant, a term proportional to the unevenness of (u, v), and a term proportional to the change of (u, v) per pixel
-# relative to |(u, v)|. Unevenness is the relative difference between successive changes of (u, v). Fitted to bound 95
-# of 100 pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
+# Estimated error of a pixel with one ray, relative to the contrast with its neighbours, as a sum of three terms. The
+# first is constant. The second is proportional to the unevenness of (u, v). The third is proportional to the change of
+# (u, v) per pixel relative to |(u, v)|. Unevenness is the relative difference between successive changes of (u, v).
+# Fitted to bound 95 of 100 pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # Safety factor on the predicted change of a tile when its level is selected, and a second factor at edges. A tile is at
 # an edge if it and its neighbours have both illuminated cells and dark or empty ones. Fitted to the snake, tested on
 # other bodies and surfaces (docs/decisions/adaptive_sampling.md); twice as much takes 1.4 times as many cells per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
-# The estimated error of a refined pixel is ERROR_PER_CHANGES times the root sum of squares over nine tiles. It falls
-# with the number of cells along an axis to the power ERROR_ORDER. Fitted: 95 of 100 pixels have a smaller error.
+# The estimated error of a refined pixel is ERROR_PER_CHANGES times the root sum of squares over nine tiles. The error
+# falls with the number of cells along an axis to the power ERROR_ORDER. Fitted: 95 of 100 pixels have a smaller error.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples [standard deviations]. Limit: twice as much requires four times the
 # samples.

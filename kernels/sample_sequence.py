@@ -7,8 +7,8 @@ ordering of pixels, 2020). The scrambling is Burley's (Practical hash-based Owen
 
 import warp as wp
 
-# Seeds of the hashes. Two are for the order of samples, two for the numbers that select a direction, and two for the
-# numbers that select a point of the pixel filter.
+# Seeds of the hashes. The first pair is for the order of samples. The second pair is for the numbers that select a
+# direction of the light. The third pair is for the numbers that select a point of the pixel filter.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))

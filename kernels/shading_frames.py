@@ -5,7 +5,7 @@ import warp as wp
 from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
 # Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding of
-# positions. Occluders closer than this height cast no shadow.
+# positions. Shadows of occluders closer than this height are missing.
 LIFT = wp.constant(wp.float32(1.0e-5))
 # Least cosine between the shading normal and the view. Normals with a smaller cosine are tilted towards the viewer.
 LEAST_COSINE = wp.constant(wp.float32(0.01))

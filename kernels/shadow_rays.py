@@ -1,8 +1,8 @@
 """Shadow rays: a grid over the mesh as projected along the light, whose cells list the faces in them.
 
-Positions across the light are whole multiples of 2^-24 radii. Their differences and products are exact in float64. Two
-faces that meet at an edge therefore agree on which side of it a point is, for any compiler, and no ray passes between
-them.
+Positions across the light are whole multiples of 2^-24 radii. Differences and products of positions are exact in
+float64. For two faces that meet at an edge, a point is therefore on the same side of the edge, with any compiler. No
+ray passes between the faces.
 """
 
 import warp as wp

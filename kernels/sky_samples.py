@@ -1,7 +1,7 @@
 """Sky samples: directions drawn in proportion to the light that the surface scatters from them, and to the sky.
 
-A sample is drawn in one of two ways: (u, v) from a table of the surface's colours, or a direction from blocks of the
-sky. The sample's density combines both (balance heuristic, Veach 1997).
+Some samples draw (u, v) from a table of the surface's colours, other samples draw a direction from blocks of the sky.
+The sample's density combines both (balance heuristic, Veach 1997).
 """
 
 import math

@@ -1,7 +1,7 @@
 """Structs of kernels: cameras, meshes, ray positions, subpixel cells and hits.
 
-Positions are in units in which the mesh fills the unit sphere around the origin. Rounding of float32 is then equally
-small for a mesh of a nanometre and for one of a kilometre, at any distance from the world's origin.
+Positions are in units in which the mesh fills the unit sphere around the origin. The relative rounding of float32 is
+then equal for meshes of a nanometre and of a kilometre, at any distance from the world's origin.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ SPECIAL = wp.constant(2)
 class Camera:
     """A view. The fields are those of ``warpdiff.scene.camera.ViewFrame``, in the surface's units."""
 
-    # Origin, right, up, back, and half the width and height. They are in an array, so that a recorded graph can be
+    # Origin, right, up, back, and half the width and height. An array of these vectors lets a recorded graph be
     # replayed for new views. An array of structs would take half a second longer to compile.
     axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool

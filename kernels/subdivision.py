@@ -41,8 +41,8 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
     below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # Second differences along rows, columns and diagonals measure how uneven the changes of (u, v) are. They are
-    # relative to the larger first difference.
+    # Second differences along rows, columns and diagonals measure how uneven the changes of (u, v) are, relative
+    # to the larger first difference.
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
@@ -73,7 +73,7 @@ def estimate_errors(
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
 
-    Pixels that do not hit the mesh are black. Their scattering vector counts as equal to that of their neighbours.
+    Pixels that do not hit the mesh are black, and do not contribute to the contrast of their neighbours.
 
     Args:
         colours: Colours of the pixels, in whole rows.

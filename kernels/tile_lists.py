@@ -9,7 +9,7 @@ from warpdiff.kernels.subdivision import SHARED
 wp.set_module_options(compile_options.options("atomics.h"))
 
 # Bins of the histogram of luminances. A bin is a luminance's float32 bits above position ``BELOW``: sign, exponent and
-# seven bits of the fraction. Groups of bins are counted, too, so that one thread finds a bin in few steps.
+# seven bits of the fraction. Groups of bins are counted, too, so that one thread can search the bins in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
@@ -134,7 +134,7 @@ def compact_level(
     # Out:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels of a level. Their order is arbitrary, as tiles do not depend on each other."""
+    """List the pixels of a level, in arbitrary order, as tiles do not depend on each other."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if levels[i] == level:
             pixels_out[atomic_increment(counts_out, 0)] = i
