@@ -19,7 +19,7 @@ OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of taps of the interpolation kernel along an axis. Limit: time is proportional to it.
 TAPS = 8
-# Argument below which the interference factor is its parabola. Derived: the error of the parabola is of fourth order.
+# Argument below which a parabola replaces the interference factor. Derived: the parabola's error is of fourth order.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -132,8 +132,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """Return the Gaussian over coefficients for one direction to the light."""
         window = Window()
         if wp.static(form == "source"):
-            # Σ⁻¹ = (1 + t tᵀ/cos²θ)/s² has the determinant 1/(s⁴cos²θ). The Cholesky factors of Σ⁻¹ avoid
-            # cancellation.
+            # Under a foreshortened source, (u, v) has a covariance with the inverse Σ⁻¹ = (1 + t tᵀ/cos²θ)/s² and the
+            # determinant s⁴cos²θ. Cholesky factors of Σ⁻¹ avoid cancellation.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent
@@ -269,7 +269,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return |mean over one patch|² at one wavelength, interpolated between its coefficients."""
+        """Return the power of one patch at one wavelength, interpolated between the patch's coefficients."""
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.floor(qy))
@@ -337,7 +337,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction to ``xyz_out``."""
+        """Add the XYZ of each direction, an integral over its set of wavelengths times its gain, to ``xyz_out``."""
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:

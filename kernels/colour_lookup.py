@@ -3,9 +3,10 @@
 As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency plane, over one octave. The power
 spectrum is sampled on azimuths, at rings of equal ratios. The value of a ring is the integral of the spectrum under a
 quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights
-are the projection of the colour curves on the same splines, for any number of orders along the azimuth. All radii with
-equal ratios share the weights. The weights depend on w through a few functions, so that the sum is computed in advance
-for each function. A look-up interpolates between rings and azimuths, and multiplies by the functions at w.
+are the projection of the colour curves on the same splines, for any number of orders along the azimuth. Every radius at
+which a colour is computed has the same weights. The weights depend on w through a few functions, so that the sum is
+computed in advance for each function. A look-up interpolates between rings and azimuths, and multiplies by the
+functions at w.
 
 A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
 at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. Blur in ratio is a sum over
@@ -22,7 +23,7 @@ from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Loops are not unrolled, because unrolling makes compilation slower.
+# Options of the kernels: the compiler does not unroll loops, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
 # Half of the largest number of azimuths, or rings, that a look-up sums with tabulated weights. Every ring has this many
@@ -71,7 +72,7 @@ def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
 
 
 def variance_before(deviations: float) -> float:
-    """Return the variance of a normal distribution that has variance 1 once truncated at some deviations."""
+    """Return the variance of a normal distribution whose variance is 1 after truncation at some deviations."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
@@ -125,7 +126,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
         inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
 
-    # The second index avoids a second compiled variant: see ``light_samples``.
+    # A second thread index, always 0, avoids a second compiled variant of the kernel: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         # In:

@@ -204,7 +204,7 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # (u, v) changes opposite to the direction to the light.
+            # When the point moves, the direction to the light changes by −``rotated``, and (u, v) by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -221,9 +221,9 @@ def add_light_extent(
 ):  # fmt: skip
     """Widen footprints in (u, v) by the extent of a light: both covariances are added.
 
-    If ``towards`` is empty, the extent is that of the light's directions. Otherwise the extent is a Gaussian around each
-    pixel's direction in ``towards``, with a standard deviation of ``extent`` radii of the disc. The radius is twice the
-    light's deviations.
+    If ``towards`` is empty, the extent is that of the light's directions. Otherwise the extent is a Gaussian around
+    each pixel's direction in ``towards``, with a standard deviation of ``extent`` radii of the disc. The radius is
+    twice the light's deviations.
     """
     own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()

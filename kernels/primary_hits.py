@@ -24,7 +24,7 @@ R2_Y = wp.constant(wp.uint32(2447445414))
 
 @wp.func
 def scramble(value: wp.uint32) -> wp.uint32:
-    """Hash 32 bits to 32 bits."""
+    """Return a 32-bit hash of a 32-bit number."""
     x = value
     x = x ^ (x >> wp.uint32(16))
     x = x * HASH_1

@@ -37,8 +37,9 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples [standard deviations]. Limit: twice as much requires four times the
 # samples.
 SCATTER_FACTOR = 1.5
-# Share of the illuminated pixels that are brighter than Y*. Derived: one minus the percentile. Reported errors replace
-# Y* by the median of Y, weighted by Y, if that is larger. Refinement does not, and is at least as strict.
+# Share of the illuminated pixels that are brighter than the reference luminance Y*. Derived: one minus the percentile.
+# Reported errors replace Y* by the median of Y, weighted by Y, if that is larger. Refinement does not, and is at least
+# as strict.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 

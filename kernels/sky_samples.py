@@ -161,7 +161,7 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 
 @wp.func
 def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
-    """Return the gain of ``light_samples.h`` without the cosine in dω cos θi, as dω cos θi = du dv."""
+    """Return the gain, as in ``light_samples.h``, over the light's cosine, for integrals over du dv = dω cos θi."""
     w = light[2] + view[2]
     overlap = 0.5 * (wp.length_sq(uv) + w * w)
     cosine = wp.sqrt(0.5 * overlap)

@@ -1,8 +1,8 @@
 """Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
 Rings are at equal ratios along an azimuth. The value of a ring is the integral of the spectrum under a quadratic
-B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights are equal
-at radii with equal ratios: see ``colour_lookup``.
+B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights are the
+same at every radius: see ``colour_lookup``.
 """
 
 import functools

@@ -197,8 +197,8 @@ class FilteredSums:
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # Differences from the colours before, from ``splat_cells``; later, estimated errors of 2 × 2 cells, from
-    # ``select_levels``. For samples, standard deviations of the means.
+    # After ``splat_cells``: differences between the means of the cells and the colours by one ray. After
+    # ``select_levels``: estimated errors of 2 × 2 cells. For random samples: standard deviations of the means.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # For each level, the filter's share in each of three pixels over the sum of the cells' weights in that pixel.
@@ -400,8 +400,8 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If all tiles have the same level, one weighted sum over their cells (``together``) is closer to the filter.
-        # If levels differ, each tile counts by its exact share of the filter (``apart``), which avoids visible steps.
+        # If the nine tiles have the same level, one weighted sum over all their cells (``together``) is closer to the
+        # pixel filter. Otherwise each tile has its exact share of the filter (``apart``), which avoids visible steps.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)

@@ -121,7 +121,7 @@ def mark_shared(
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark unmarked pixels as ``SHARED`` if their tile and the eight tiles around it have a level, so have cells."""
+    """Mark unmarked pixels as ``SHARED`` if their own tile and the eight tiles around it have cells."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Largest power of a light, a linear factor. Limit: kernels square colours in float32, which ends at 3e38.
+# Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
 # Number of samples per pixel of a wide disc light in pictures with ``refine=False``. Limit: time is proportional to it.
 DISC_SAMPLES = 128

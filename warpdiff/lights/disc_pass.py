@@ -69,7 +69,7 @@ class DiscPass(LobePass):
         return min(_EXTENT / math.sqrt(rays * self._samples(batch)), _MOST_EXTENT)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that draw a direction for each ray, trace its shadow ray and compute scattering vectors."""
+        """Return kernel calls that draw a direction for each ray, trace shadow rays and compute scattering vectors."""
         if lobe == self.part.sample_count:
             return super().scatter(0, batch, counting)
         samples = self._samples(batch)
@@ -81,7 +81,7 @@ class DiscPass(LobePass):
         return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return the calls that compute footprints: the footprint of the pixel filter, widened by the sample's blur."""
+        """Return kernel calls that compute footprints: the pixel filter's, widened by the blur of the sample."""
         if lobe == self.part.sample_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 
-# Largest radiance, linear sRGB. Limit: kernels square colours in float32, which ends at 3e38.
+# Largest radiance, linear sRGB. Limit: kernels square colours in float32, which is at most 3e38.
 _MOST_RADIANCE = 1e9
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is

@@ -283,16 +283,16 @@ class LightPass(ABC):
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
+        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that look up and add the colours of a sampled lobe."""
+        """Return the kernel calls that look up and add the colours of a sampled lobe."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
     ) -> list[KernelCall]:
-        """Return the calls that look up and add a lobe's colours, with one array of gains per spectrum."""
+        """Return the kernel calls that look up and add a lobe's colours, with one array of gains per spectrum."""
         samples, calls = batch.samples, []
         for material, spectra in enumerate(self.illuminated[lobe]):
             for gain, illuminated in zip(gains, spectra, strict=True):
@@ -308,18 +308,18 @@ class LightPass(ABC):
         return calls
 
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that add the colours of all lobes to a batch of cells."""
+        """Return the kernel calls that add the colours of all lobes to a batch of cells."""
         calls = []
         for lobe in self.cell_lobes(batch.level):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return the marks of rays that are occluded from the last lobe; an empty array means that none is."""
+        """Return the marks of rays with hits that are occluded from the last lobe; an empty array marks none."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
-        """Return the call that computes the footprints of the rays' filter in (u, v)."""
+        """Return the kernel call that computes the footprints of the rays' filter in (u, v)."""
         rays, samples = self.context.rays, batch.samples
         inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
         return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)

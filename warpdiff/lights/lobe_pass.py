@@ -81,7 +81,7 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Illuminants of all lobes, and for each lobe whether it has an extent and a position."""
+        """Key of a recorded CUDA graph: illuminants of the lobes, and whether each lobe has an extent and a position."""
         kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
@@ -99,13 +99,13 @@ class LobePass(LightPass):
         self._grids += rays.shadow_grids(to_lights, count)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that compute occlusion, scattering vectors and geometry factors of a lobe."""
+        """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe."""
         return self.scatter_towards(self._no_directions, lobe, 1.0, batch, counting)
 
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
     ) -> list[KernelCall]:
-        """Return the calls of :meth:`scatter` for a share of a lobe; ``towards`` is empty or has directions per ray."""
+        """Return kernel calls as :meth:`scatter`, for a share of a lobe; ``towards`` may have a direction per ray."""
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
         inputs = [
@@ -124,14 +124,14 @@ class LobePass(LightPass):
         return [*calls, *self.gain_calls(lobe, batch)]
 
     def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
-        """Return calls that change the geometry factors of a lobe, for example by an emission profile.
+        """Return kernel calls that change the geometry factors of a lobe, for example by an emission profile.
 
         The light of the pigment and the marks of illuminated pixels do not include these changes.
         """
         return []
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return the calls that compute footprints: the pixel filter's, widened by a lobe's extent and position."""
+        """Return kernel calls that compute footprints: the pixel filter's, widened by a lobe's extent and position."""
         rays, pixels, footprints = self.context.rays, batch.gbuffer.pixels, [batch.samples.footprints]
         calls = [self.filter_footprints(batch)]
         if self.part.lobes[lobe].position is not None:
@@ -143,7 +143,7 @@ class LobePass(LightPass):
         return calls
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that look up the colours of a lobe, one material after the other."""
+        """Return the kernel calls that look up the colours of a lobe, one material after the other."""
         calls, footprints = [], None
         if lookup.plan.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints

@@ -59,7 +59,7 @@ class SkyPass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Grid of the sky, whose arrays the launches read."""
+        """Key of a recorded CUDA graph: the grid of the sky, whose arrays the launches read."""
         return type(self), self.grid
 
     def begin(self, previous: LightPass | None) -> None:
@@ -79,13 +79,13 @@ class SkyPass(LightPass):
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the call that computes the scattering vectors of a batch for light from the mirror direction."""
+        """Return the kernel call that computes scattering vectors for light from the mirror direction."""
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that draw a direction of the sky for each ray, and add the colour from this direction."""
+        """Return kernel calls that draw a direction of the sky for each ray, and add the colour from this direction."""
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)

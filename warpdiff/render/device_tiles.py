@@ -62,14 +62,14 @@ class DeviceTiles:
         launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:  # noqa: ARG002 (of the host's groups)
-        """Launch a call over all pixels."""
+        """Launch a kernel call over all pixels."""
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
         """Do nothing: previews, which would reuse tiles, exist only on the host."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the floor from a histogram, as an exact percentile would require the host."""
+        """Begin a light: compute the floor of errors from a histogram, as exact percentiles would require the host."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]

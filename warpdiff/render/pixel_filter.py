@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # Standard deviation of a cell's filter, relative to the cell spacing. Fitted (docs/decisions/adaptive_sampling.md):
 # with 0.5, errors on the snake are 1.1 to 2 times as large.
 _CELL_SIGMA_PER_SPACING = 0.4
-# Least level of pixels at silhouettes, which is 4 × 4 cells. Choice: each level more takes four times the time there.
+# Least level of pixels at silhouettes of the mesh, 4 × 4 cells. Choice: each further level quadruples the time there.
 SILHOUETTE_LEVEL = 2
 # Fewest and most rays per slice. Limits: shorter slices spend more time on launches, longer ones use more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
@@ -101,7 +101,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # Level 0 has no cells, and its row is not used.
+    # Level 0 has no cells; its row of ones is not used.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 

@@ -59,7 +59,7 @@ class PixelSampler:
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
-        """Set the passes of the lights; hits remain valid, samples do not."""
+        """Set the passes of the lights. Hits of rays remain valid; samples of the previous lights do not."""
         self._passes, self._lobe = passes, None
         if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
             rays, device = self._context.rays.size, self._context.device

@@ -105,7 +105,7 @@ class LightRefinement:
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that estimates the error of every pixel with one ray, and marks pixels for subdivision."""
+        """Return the kernel call that estimates errors of pixels with one ray, and marks pixels for subdivision."""
         rays, policy = self.light_pass.context.rays, self.policy
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
@@ -115,7 +115,7 @@ class LightRefinement:
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
-        """Return the calls that trace and shade the cells in the buffers, and splat them to surrounding pixels."""
+        """Return kernel calls that trace and shade the cells in the buffers, and splat them to surrounding pixels."""
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
         sampling = Sampling()
@@ -132,7 +132,7 @@ class LightRefinement:
         return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
-        """Return the call that sets pixels to weighted sums over the cells of nine tiles, with estimated errors."""
+        """Return the kernel call that sets pixels to weighted sums over the cells of nine tiles."""
         rays = self.light_pass.context.rays
         inputs = [
             group.sums, group.pixels, marks, rays.width, rays.height,
@@ -141,7 +141,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that selects the final levels of the tiles that have this level."""
+        """Return the kernel call that selects the final levels of the tiles that have this level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -203,10 +203,10 @@ class TileExecutor(Protocol):
         """Number of pixels that were subdivided; under several lights, the largest number of a light."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles; ``keep`` stores results from now on, for finer tolerances of one picture."""
+        """Delete stored results of tiles. With ``keep``, store them from now on, for finer tolerances of one picture."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light at a tolerance: compute the floor."""
+        """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
         """Yield the groups of the marked pixels; the tiles of a group are these pixels and the eight around each."""
@@ -215,10 +215,10 @@ class TileExecutor(Protocol):
         """Shade the cells of a group's tiles at a level, and splat the cells to surrounding pixels."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a call over the pixels or tiles of a group, or over all pixels of the picture."""
+        """Launch a kernel call over the pixels or tiles of a group, or over all pixels of the picture."""
 
     def end(self, light: LightRefinement) -> None:
-        """Finish a light."""
+        """Finish the refinement of a light."""
 
 
 class RefinementLoop:

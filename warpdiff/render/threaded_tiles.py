@@ -100,11 +100,11 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles; ``keep`` stores results from now on, for finer tolerances of one picture."""
+        """Delete stored results of tiles. With ``keep``, store them from now on, for finer tolerances of one picture."""
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light at a tolerance: compute the floor from an exact percentile."""
+        """Begin the refinement of a light: compute the floor of relative errors from an exact percentile."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -115,7 +115,7 @@ class ThreadedTiles:
         """Do nothing; only the executor on a GPU has work at the end of a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a call over pixels or tiles, in slices."""
+        """Launch a kernel call over pixels or tiles, in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:

@@ -73,21 +73,21 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Place one of several samples in each pixel, and return the calls that trace the rays through them."""
+        """Place one of several samples in each pixel, and return the kernel calls that trace the rays."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
-        """Launch calls over one ray per pixel."""
+        """Launch kernel calls for one ray per pixel."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that compute the hits of rays and the shading frames at the hits."""
+        """Return the kernel calls that compute the hits of rays and the shading frames at the hits."""
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
         return [trace, *self._known_face_calls(sampling, gbuffer)]
 
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that intersect each ray with its nearest face, which is already known."""
+        """Return the kernel calls that intersect each ray with its nearest face, which is already known."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         return [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
@@ -95,7 +95,7 @@ class CameraRays:
         ]
 
     def _sampling(self, sample: int, samples: int) -> Sampling:
-        """Return the position of one sample in each pixel; a single sample per pixel is in the centre."""
+        """Return a struct with the position of one sample in each pixel; a single sample is in the centre."""
         sampling = Sampling()
         if samples > 1:
             if not len(self._offsets):
@@ -128,14 +128,14 @@ class RasterizedRays(CameraRays):
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Rasterize one of several samples per pixel, and return the calls that compute the hits."""
+        """Rasterize one of several samples per pixel, and return the kernel calls that compute the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
         return self.calls(sampling, self.gbuffer)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that compute hits on the known nearest faces, and the shading frames at the hits."""
+        """Return the kernel calls that compute hits on the known nearest faces, and the shading frames at the hits."""
         return self._known_face_calls(sampling, gbuffer)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:

@@ -57,7 +57,7 @@ class SceneArrays:
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self) -> SurfaceArrays:
-        """Return the struct with a hierarchy of faces, which is built at the first call."""
+        """Return the mesh as a struct for kernels, with a hierarchy of faces that the first call builds."""
         with _once:
             if self._mesh is None:
                 # On the CPU, cubQL builds a hierarchy in half the time of Warp's default constructor.

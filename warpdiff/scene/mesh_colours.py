@@ -57,7 +57,7 @@ def _image(image: Image.Image) -> NDArray[np.float32] | None:
         # The image has 16-bit grey values; Pillow's conversion to RGB would clip them at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # Decoding 256 values once, instead of every pixel, saves most of the time.
+    # Applying the sRGB transfer function to 256 values once, instead of to every pixel, saves most of the time.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 
@@ -69,6 +69,6 @@ def _damage(image: Image.Image) -> str:
             image.load()
             image.info[_DAMAGE] = ""
         except Exception as error:
-            # Decoders raise errors of any type, and a second attempt may pass with a partial image.
+            # Image decoders raise errors of any type. A second attempt may return a partial image without an error.
             image.info[_DAMAGE] = str(error) or type(error).__name__
     return str(image.info[_DAMAGE])

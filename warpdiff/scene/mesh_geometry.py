@@ -141,7 +141,7 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return a position number for each vertex, equal at equal positions, and the vertices sorted by it, (n,) each."""
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
-    # A cell number needs 21 bits per axis. Sorting one integer per vertex is faster than sorting rows.
+    # The cell of a vertex has a number of 21 bits per axis. Sorting one integer per vertex is faster than sorting rows.
     key = (x * 2**21 + y) * 2**21 + z
     order = np.argsort(key)
     key = key[order]
@@ -175,7 +175,7 @@ def vertex_normals(
 def tangents_from_uvs(
     geometry: FaceGeometry, texture: TextureGeometry, faces: NDArray[np.int64], normals: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return ∂P/∂u at vertices, a mean over the faces of each vertex weighted by angles, shape (3, n)."""
+    """Return tangents ∂P/∂u at vertices: means over the faces of each vertex, weighted by angles, shape (3, n)."""
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
@@ -242,7 +242,7 @@ def fill(
         if not new.any():
             break
         at += new
-    # Vertices without any connected neighbour get the mean of the whole mesh.
+    # Vertices without any connected neighbour get the mean tangent of the whole mesh.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 

@@ -27,7 +27,7 @@ _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """Return a struct :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists, which uses the hierarchy."""
+    """Return a struct :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists: rays use the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
