@@ -132,8 +132,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """Return the Gaussian over coefficients for one direction to the light."""
         window = Window()
         if wp.static(form == "source"):
-            # Under a foreshortened source, (u, v) has a covariance with the inverse Σ⁻¹ = (1 + t tᵀ/cos²θ)/s² and the
-            # determinant s⁴cos²θ. Cholesky factors of Σ⁻¹ avoid cancellation.
+            # Let t be the tangential part of the direction to the light. Under a source, the inverse covariance of
+            # (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². Cholesky factors of Σ⁻¹ avoid cancellation.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent

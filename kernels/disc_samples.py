@@ -98,7 +98,7 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # Both densities are per area of the plane, so that the density per area of (u, v) is times the cosine.
+            # Both densities are per solid angle. A density per area of (u, v) is multiplied by the cosine for this.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

@@ -8,8 +8,8 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Warp compiles a second variant, for contiguous arrays, of every kernel whose arrays have one index. The variant is
-# hardly faster. A second thread index, always 0, avoids it and a third of the time to compile these modules.
+# Warp compiles a second variant, for contiguous arrays, of every kernel with one thread index. The variant is hardly
+# faster. A second thread index, always 0, avoids it and a third of the time to compile these modules.
 
 
 @wp.struct
@@ -128,7 +128,8 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
     columns = reflection.energy.shape[1]
     if rows == 0:
         return 1.0
-    # The table has equal steps in √(1 − cos θ), nearly equal in θ, and in y/(|x| + |y|). Neither requires a sine.
+    # The table has equal steps in √(1 − cos θ), nearly equal in θ, and in y/(|x| + |y|). Neither requires trigonometric
+    # functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
@@ -237,7 +238,8 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # The covariance across a direction is the full one minus the part along the direction, removed below.
+                # The covariance perpendicular to a direction is an isotropic one, added here, minus the part along the
+                # direction, subtracted below.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x

@@ -183,7 +183,7 @@ def mirror_deflections(
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute the scattering vectors of light from the mirror direction, for which footprints are computed, and hits.
+    """Compute scattering vectors for light from the mirror direction, which footprints require, and count hits.
 
     Gains are 1 at all hits, because a sky illuminates every point.
     """

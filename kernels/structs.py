@@ -14,7 +14,7 @@ SPECIAL = wp.constant(2)
 
 @wp.struct
 class Camera:
-    """A view. The fields are those of ``warpdiff.scene.camera.ViewFrame``, in the surface's units."""
+    """Camera of a view: the fields of ``warpdiff.scene.camera.ViewFrame`` in the surface's units."""
 
     # Origin, right, up, back, and half the width and height. An array of these vectors lets a recorded graph be
     # replayed for new views. An array of structs would take half a second longer to compile.

@@ -270,7 +270,8 @@ def select_levels(
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have set a neighbour's level already. Levels are only compared with 0, which never changes.
+        # Other threads may have set a neighbour's level already. Levels are only compared with 0, and a 0 never
+        # changes.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
@@ -309,8 +310,8 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # Here errors are assumed to fall with the square of the number of cells along an axis, a less careful fit than
-        # ERROR_ORDER. The level is rounded to the nearest one in log2.
+        # Here errors are assumed to fall with the square of the number of cells along an axis. ERROR_ORDER, for
+        # reported errors, is more cautious. The level is rounded to the nearest whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
@@ -351,7 +352,7 @@ def raise_levels(
                     need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
                 if levels_out[there] != wp.uint8(0):
                     rank = compact_index(sums.ranks, there)
-                    # Other threads change ``levels_out`` here, so that the constant levels of the sums are compared.
+                    # Other threads may change ``levels_out`` now. The levels of the sums are constant.
                     if sums.levels[rank] == wp.uint8(level):
                         square += share * sums.changes[rank] * sums.changes[rank]
                         count += share

@@ -36,10 +36,12 @@ if TYPE_CHECKING:
 
 # Largest radiance, linear sRGB. Limit: kernels square colours in float32, which is at most 3e38.
 _MOST_RADIANCE = 1e9
+# Range of the option ``directions``. Limits: fewer directions show noise; time is proportional to them.
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is
 # proportional to the number.
 _DEFAULT_DIRECTIONS = 64
+# Memory per pixel [bytes] while an image is loaded, and while a background is computed. Fitted.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. Limit: the radiance of the sun remains below ``_MOST_RADIANCE``.
 _MOST_SUN = 1e3

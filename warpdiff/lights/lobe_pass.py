@@ -81,13 +81,13 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Key of a recorded CUDA graph: illuminants of the lobes, and whether each lobe has an extent and a position."""
+        """Key of a recorded CUDA graph: illuminants of the lobes, and whether each has an extent and a position."""
         kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
-        """Whether each lobe has its struct ``ShadowGrid``."""
+        """Whether each lobe has its struct ``ShadowGrid``, which tracing shadow rays requires."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:

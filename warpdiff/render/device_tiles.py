@@ -47,7 +47,7 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # A later light, in this picture or the next, may be sampled.
+        # The buffers always have the arrays of sampled lights, as a later light may be sampled.
         kind = light.buffer_kind._replace(is_sampled=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 

@@ -162,8 +162,8 @@ class Picture:
             lookup: Look-up of the colours.
             tolerance: Tolerance of the picture.
             progress: Callable that gets the share that is done; None reports nothing.
-            previews: Larger tolerances, the largest first, each with a callable. It is called once the picture meets
-                the tolerance. Previews have no effect on a GPU.
+            previews: Larger tolerances, the largest first, each with a callable, which is called once the picture
+                meets the tolerance. Previews have no effect on a GPU.
         """
         if lookup.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
@@ -192,7 +192,7 @@ class Picture:
     def _render_means(
         self, lookup: ColourLookup, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
-        """Add means over pixels, one light after the other."""
+        """Add the colours of all lights as means over pixels, one light after the other."""
         self._sums.clear_errors()
         of_light, count = self._light_sums, len(self._passes)
         if count > 1:
@@ -276,13 +276,14 @@ class Picture:
 
         contrasts = None
         if self._means:
-            # With a margin, the outermost pixels of the view have neighbours.
+            # Contrasts include the margin, so that the outermost pixels of the view have neighbours, too.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
-        # The count includes pixels of the margin, and pixels that only cells hit; it may exceed the covered pixels.
+        # The number of subdivided pixels includes the margin and pixels where only cells hit the mesh. It may exceed
+        # the number of covered pixels.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

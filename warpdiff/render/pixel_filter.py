@@ -94,9 +94,10 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """Return the filter's share in each of three pixels in a row over the weights there, by level from 0 on, (n, 3).
+    """Return factors that normalise the weights of cells, one row per level from 0 on, shape (n, 3).
 
-    The array is on the named device.
+    A factor is the filter's share in one of three pixels in a row over the sum of the weights there. The array is on
+    the named device.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
@@ -133,7 +134,7 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
 
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> structs.Cells:
     """Return the struct ``Cells`` of the kernels for some pixels of a picture of this size."""
-    # Each row begins at a new 64-bit word.
+    # In the bit mask, each row of pixels begins with a new 64-bit word.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
     ranks = np.empty(width * height, dtype=np.int32)

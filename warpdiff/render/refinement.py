@@ -203,7 +203,7 @@ class TileExecutor(Protocol):
         """Number of pixels that were subdivided; under several lights, the largest number of a light."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles. With ``keep``, store them from now on, for finer tolerances of one picture."""
+        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
@@ -265,7 +265,8 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.is_sampled:
-                    # Need follows from filtered colours: unfiltered dark pixels near bright ones would get more cells.
+                    # Levels are selected from filtered colours. Without the filter, dark pixels next to bright ones
+                    # would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

@@ -100,7 +100,7 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles. With ``keep``, store them from now on, for finer tolerances of one picture."""
+        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:

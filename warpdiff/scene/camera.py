@@ -173,8 +173,9 @@ class View(Checked):
             half = math.atan(min(frame.half_height, frame.half_width))
             reach = radius + math.dist(middle, centre)
             return replace(view, eye=middle + reach / math.sin(half) * frame.back, target=middle)
-        # A point is within the image along x if |x − cₓ| ≤ tₓ (d − z); the condition along y is similar. The least
-        # distance d of the eye follows from the largest x + tₓ z and the least x − tₓ z.
+        # An image has a centre cₓ and half a width tₓ, as a tangent. A point at depth z is inside it along x if |x −
+        # cₓ| ≤ tₓ (d − z). The least distance d of the eye follows from the largest x + tₓ z and the least x − tₓ z.
+        # The condition along y is similar.
         points = points + (centre - middle) / radius
         towards = points @ frame.back
         distance, moved = float(towards.max()) + _LEAST_DISTANCE, np.zeros(3)

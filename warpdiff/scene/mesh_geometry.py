@@ -17,9 +17,10 @@ from warpdiff.core.wording import ArgumentValueError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A face has no area if twice its area is at most this share of its longest edge squared. Limit: rounding of float32.
+# A face counts as having no area if twice its area is at most this share of its longest edge squared. Limit: rounding
+# of float32.
 ZERO_AREA = 1e-9
-# Vertices closer than this distance, in radii of the mesh, are at one position. Limit: rounding of float32 positions.
+# Vertices closer than this distance [radii of the mesh] count as being at one position. Limit: rounding of float32.
 WELD = 1e-6
 # Cosine of the largest angle between tangents on two sides of a texture seam that are averaged: 30°. Choice: tangents
 # with larger angles remain separate.
@@ -166,7 +167,8 @@ def vertex_normals(
     count = int(welded.max()) + 1
     total = np.stack([sum_at(welded, component, count) for component in beside])
     weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
-    # Two faces back to back cancel at their common position. The sum at the vertex alone is used there.
+    # Normals of two faces back to back add up to zero at their common position. There, each vertex uses the sum over
+    # its own faces.
     cancelled = (length(total) <= 1e-6 * weight)[welded]
     computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
     return computed if own is None else np.where(missing, computed, own)
@@ -199,7 +201,7 @@ def join_seams(
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
-    # In this order, vertices at one position are consecutive. Each vertex is compared with the next one, the one after
+    # In ``order``, vertices at one position are consecutive. Each vertex is compared with the next one, the one after
     # that, and so on. A pass makes several of these comparisons, but at most about as many pairs as vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
@@ -304,7 +306,7 @@ def is_convex(
     if both is None or int(welded.max()) + 1 - len(both[0]) + number != 2:
         return False
     one, other = both
-    # The neighbouring face at each edge must not rise above the plane of this face.
+    # A convex body requires at each edge that the neighbouring face does not rise above the plane of this face.
     level = dot(outward, vertices.take(faces[0], axis=1))
     opposite = faces[[2, 0, 1]].ravel()
     for here, beyond in ((one, other), (other, one)):

@@ -307,7 +307,7 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
 
 
 def _take_colours(mesh: Any, part: _Part) -> None:
-    """Set the part's texture or colours; with face colours, every face gets separate vertices."""
+    """Set the texture or the colours of a part; with face colours, every face gets separate vertices."""
     visual = mesh.visual
     if visual.kind == "vertex":
         part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
@@ -332,7 +332,7 @@ def _take_colours(mesh: Any, part: _Part) -> None:
 
 
 def _join(parts: list[_Part]) -> _Part:
-    """Join parts to one; if only some parts have an array, its missing entries are NaN, or −1 for textured colours."""
+    """Join the parts of a scene to one part. Missing entries of arrays are NaN, or −1 for colours with a texture."""
     if len(parts) == 1:
         return parts[0]
     textures: list[NDArray[np.float32]] = []
