@@ -163,8 +163,8 @@ def codegen_lock() -> threading.Lock | None:
 
 # Warp's lock, acquired around a fork.
 _acquired: list[threading.Lock] = []
-# Futures for the child process, of the modules that were loaded before the fork. They are new objects, because another
-# thread may have locked the original ones.
+# Futures for the child process, of the modules that were loaded before the fork. The futures are new objects,
+# because another thread may have locked the original ones.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 

@@ -77,7 +77,7 @@ class Lobe:
         power: Linear factor of the illuminant.
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
             (2, 3), world frame; None is a single direction.
-        position: Position of a point light, world frame. Its power falls off with the square of the distance, and
+        position: Position of a point light, world frame. The power falls off with the square of the distance, and
             ``to_light`` is ignored. None is infinitely far away.
     """
 

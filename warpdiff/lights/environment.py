@@ -166,11 +166,11 @@ class Environment(Checked, Light):
     ) -> Environment:  # fmt: skip
         """Make a clear sky with a sun of 0.53° in diameter over diffuse ground, from formulas, without a file.
 
-        The sky is type 12 of the CIE standard general sky (CIE S 011, ISO 15469), in the colour of daylight of
-        15,000 K. The sun has 5,500 K. Without the sun, the illuminance of the sky on the horizontal is π, so that white
-        paper that faces up has a luminance of 1. The sun's illuminance, normal to its direction, is
-        127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) times the sky's, for an altitude of h (IES, 1984): 6.8 times at
-        45°, 0.5 times at 3°. The luminance of its disc is 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
+        The sky is type 12 of the CIE standard general sky (CIE S 011, ISO 15469), in the colour of daylight of 15,000
+        K. The sun has 5,500 K. Without the sun, the illuminance of the sky on the horizontal is π, so that white paper
+        that faces up has a luminance of 1. For a sun at the altitude h, the ratio of the sun's illuminance, normal to
+        its direction, to the sky's is 127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) (IES, 1984). The ratio is 6.8 at
+        45° and 0.5 at 3°. The sun's disc has a luminance of 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
         the result::
 
             body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 0.8, 0.3))

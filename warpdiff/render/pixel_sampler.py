@@ -130,7 +130,7 @@ class PixelSampler:
     ) -> tuple[DirectionRange, DirectionSample, int]:
         """Return the range of all illuminated directions, a sample of these directions, and their number.
 
-        This is a separate pass over the rays, which takes about 1 % of the time of the colours.
+        The directions come from a separate pass over the rays, which takes about 1 % of the time of the colours.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())

@@ -191,7 +191,7 @@ class Renderer:
                 it raises cancels the picture; the next picture starts from scratch.
             previews: Callables by tolerances larger than the plan's. Each is called once the picture meets its
                 tolerance, and :meth:`image` then returns that picture. Previews reuse all work and do not change the
-                final picture. They have no effect on a GPU, or without refinement.
+                final picture. Previews have no effect on a GPU, or without refinement.
 
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``. This thread's next picture overwrites the array.

@@ -53,8 +53,8 @@ def shade(
 ) -> Image:  # fmt: skip
     """Render a mesh whose surface carries a height field.
 
-    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share
-    where the mesh has a base colour. The mesh is visible from both sides.
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances. Where the mesh has a base
+    colour, the light of the pigment is added. The mesh is visible from both sides.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and

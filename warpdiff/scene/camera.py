@@ -34,7 +34,7 @@ _LEAST_DISTANCE = 1e-2
 class ViewFrame(NamedTuple):
     """Origin and axes of a view.
 
-    A pixel's position along ``right`` is x = half_width · (2 (column + 0.5) / width − 1). Its position along ``up`` is
+    A pixel's position along ``right`` is x = half_width · (2 (column + 0.5) / width − 1). The position along ``up`` is
     y = half_height · (1 − 2 (row + 0.5) / height). A perspective ray starts at ``origin`` in the direction
     x right + y up − back. An orthographic ray starts at origin + x right + y up in the direction −back.
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 _SEED = 0
 # Numbers of pixels and of faces per slice of a launch on the CPU. Fitted: a thread takes about 1 ms for a slice.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted: relative to a ray through
-# the hierarchy, adding a face to a grid takes a fifth of the time, and a ray through a grid takes a quarter.
+# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted relative to a ray through
+# the hierarchy: adding a face to a grid takes a fifth of the time. A ray through a grid takes a quarter.
 _FACES_PER_RAY = 3
 # Approximate size of a grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory. With 100
 # lobes, for example, grids are used for meshes of up to 149,000 faces.

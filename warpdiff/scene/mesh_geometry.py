@@ -167,7 +167,7 @@ def vertex_normals(
     count = int(welded.max()) + 1
     total = np.stack([sum_at(welded, component, count) for component in beside])
     weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
-    # Normals of two faces back to back add up to zero at their common position. There, each vertex uses the sum over
+    # Normals of two faces back to back add up to zero at their common position. Each vertex there uses the sum over
     # its own faces.
     cancelled = (length(total) <= 1e-6 * weight)[welded]
     computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
@@ -268,7 +268,8 @@ def _sides_of_edges(
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
     """Return whether the faces bound bodies, with corners counter-clockwise as viewed from outside of each.
 
-    In a closed mesh, equally many faces run along each edge in either direction. A line that enters it also leaves it.
+    In a closed mesh, equally many faces run along each edge in either direction. A line that enters a body also leaves
+    it.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)
