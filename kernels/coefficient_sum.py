@@ -169,7 +169,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """Return ⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
-        # Positions reach hundreds of coefficients, and Gaussians are narrow. The integer part is removed in float64.
+        # Positions reach hundreds of coefficients, while Gaussians are a few coefficients wide. The integer part of a
+        # position is removed in float64.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))

@@ -61,7 +61,7 @@ class FootprintTaps:
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Return the weights of three neighbours by the quadratic B-spline, at a distance from the middle one."""
+    """Return the weights of three neighbouring samples in a quadratic B-spline, at ``away`` from the middle one."""
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 

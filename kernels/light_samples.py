@@ -9,7 +9,7 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
 # Warp compiles a second variant, for contiguous arrays, of every kernel with one thread index. The variant is hardly
-# faster. A second thread index, always 0, avoids it and a third of the time to compile these modules.
+# faster. A second thread index, always 0, avoids the second variant. It saves a third of the compilation time.
 
 
 @wp.struct
@@ -52,7 +52,7 @@ def scattering_vectors_run(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors, directions to the light and gains of pixels, and add to the sums."""
+    """Compute scattering vectors, directions to the light and gains of pixels, and add hits to the coverage."""
 
 
 @wp.func

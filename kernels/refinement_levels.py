@@ -10,7 +10,7 @@ from warpdiff.kernels.thresholds import PERCENTILE
 # Standard deviation of the pixel filter, a Gaussian, and its truncation along each axis [pixels]. Choices: with twice
 # the deviation, pictures are blurred; with twice the cut, cells contribute to more than the nine pixels of a splat.
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# Shares of the filter in three pixels in a row. Derived from the two numbers above.
+# Shares of the pixel filter in three pixels in a row. Derived from FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # The finest level, with 4,096 cells per pixel and 36,864 under a pixel's filter. Limit: each level has four times the

@@ -9,7 +9,7 @@ from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 LIFT = wp.constant(wp.float32(1.0e-5))
 # Least cosine between the shading normal and the view. Normals with a smaller cosine are tilted towards the viewer.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
-# Least squared length of a tangent's part perpendicular to the normal. Shorter parts are replaced by another direction.
+# Least squared length of a tangent's part perpendicular to the normal. Below it, any perpendicular direction is used.
 LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
 
 

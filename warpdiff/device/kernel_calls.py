@@ -144,7 +144,7 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # The surplus calls let fast threads take slices that a slow thread has not started.
+        # More calls than necessary let fast threads take slices that a slow thread has not started.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

@@ -146,7 +146,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays; ``means`` adds footprints."""
+        """Return uninitialised arrays for a number of rays, with footprints if pixels show ``means`` over them."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -279,7 +279,7 @@ class LightPass(ABC):
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Prepare the tracing of shadow rays; ``count`` returns their number per lobe, and may read the hits."""
+        """Prepare the tracing of shadow rays; ``count`` returns the number of rays per lobe, and may read the hits."""
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:

@@ -33,7 +33,7 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return the sums of a number of pixels, initially zero; ``means`` adds the arrays for errors."""
+        """Return the sums of a number of pixels, initially zero, with arrays for errors if pixels show ``means``."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)

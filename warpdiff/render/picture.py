@@ -282,8 +282,8 @@ class Picture:
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
-        # The number of subdivided pixels includes the margin and pixels where only cells hit the mesh. It may exceed
-        # the number of covered pixels.
+        # The number of subdivided pixels includes the margin and pixels where only cells hit the mesh. Therefore
+        # this number may exceed the number of covered pixels.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

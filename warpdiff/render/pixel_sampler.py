@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Limits of the rays whose directions are measured; time is proportional to them. Without means, at most
-# ``_SAMPLES_MEASURED`` rays per pixel are measured. With means, about ``_CELLS_MEASURED`` rays are measured in all, at
-# most ``_MOST_SAMPLES_MEASURED`` per pixel, as cells have directions that pixel centres do not have.
+# Limits of the rays whose directions are measured; time is proportional to them. If pixels show
+# points, at most ``_SAMPLES_MEASURED`` rays per pixel are measured. If pixels show means over footprints, about
+# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. Cells have directions
+# that pixel centres do not have.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -69,7 +70,7 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield the lobes of all passes whose directions are measured; without means, all lobes are measured."""
+        """Yield the lobes of all passes whose directions are measured; if pixels show points, all are measured."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
@@ -112,7 +113,7 @@ class PixelSampler:
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # With means, each light has separate sums of colours, while hits are counted once.
+        # If pixels show means, each light has separate sums of colours, while hits are counted once.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
@@ -134,7 +135,7 @@ class PixelSampler:
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())
-        # A few samples per pixel represent all samples, and several rays of many pixels represent the cells.
+        # A few samples per pixel represent all samples, or several rays per pixel represent the subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -142,7 +143,7 @@ class PixelSampler:
             per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
         for sample in range(measured):
             for index in lobes:
-                # With means, the first ray passes through the pixel centre, as in the picture.
+                # If pixels show means, the first ray passes through the pixel centre, as in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 scattering_vectors, to_lights, gains = self.directions()
                 within = within.joined(

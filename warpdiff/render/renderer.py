@@ -114,7 +114,7 @@ class Renderer:
         return result
 
     def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Make the plan, the tables and the picture; a given look-up by the same plan has its tables already."""
+        """Make the plan, the tables and the picture; ``lookup`` has the tables of the same plan if they exist."""
         evaluation = inputs.evaluation
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):

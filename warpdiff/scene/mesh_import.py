@@ -307,7 +307,7 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
 
 
 def _take_colours(mesh: Any, part: _Part) -> None:
-    """Set the texture or the colours of a part; with face colours, every face gets separate vertices."""
+    """Set the texture or the colours of a mesh part; with face colours, every face gets separate vertices."""
     visual = mesh.visual
     if visual.kind == "vertex":
         part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)

@@ -53,7 +53,7 @@ def _made(
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # The margin of two steps covers differences in rounding between NumPy and the kernel.
+    # The grid has a margin of two steps, which covers differences in rounding between NumPy and the kernel.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
