@@ -53,7 +53,7 @@ def distribution_for(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
 ) -> sky_samples.SkyDistribution:  # fmt: skip
-    """Return the struct ``SkyDistribution`` of a look-up and a sky; the part of the look-up is cached.
+    """Return the struct ``SkyDistribution`` of a look-up and a sky; the look-up caches the surface's part.
 
     Args:
         lookup: The look-up.

@@ -148,7 +148,7 @@ class Renderer:
             refine: As in :func:`warpdiff.shade`; None keeps the setting of this renderer.
 
         Returns:
-            A renderer with the same lights, plan and tables.
+            A renderer with the first lights, the plan and the tables of this one.
 
         Raises:
             MemoryError: More memory than is free; the message says what fits.
