@@ -31,7 +31,7 @@ _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h"
 HALF_TAPS = 7
 # Largest number of directions that a thread of the CPU looks up in one call. Limit: size of local arrays.
 BATCH = 256
-# Number of directions between the present one and the one whose rows are prefetched from memory. Fitted: other numbers
+# Number of directions between the present one and the one whose rows are prefetched from memory. Choice: other numbers
 # change only the time.
 _AHEAD = 3
 # Taps on each side of the filter that converts samples to spline coefficients. Limit: the rest is −0.17 to the sixth

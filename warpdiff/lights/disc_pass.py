@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 # Effective number of pixels under the pixel filter, a Gaussian with standard deviation σ in pixels. Derived: 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # Blur of one sample of a disc: its standard deviation is ``_EXTENT`` disc radii over √(samples of the pixel). Choice:
-# twice as much blurs shadows. The limit ``_MOST_EXTENT``, in radii, is the standard deviation of a whole disc.
+# twice as much lowers the noise but narrows penumbrae. The limit ``_MOST_EXTENT``, in radii, is the standard deviation
+# of a whole disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
 # Number of samples per pixel that are drawn to measure the range of directions. Limit: time is proportional to it.
 _MEASURED = 16

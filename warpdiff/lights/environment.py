@@ -41,7 +41,7 @@ _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is
 # proportional to the number.
 _DEFAULT_DIRECTIONS = 64
-# Memory per pixel [bytes] while an image is loaded, and while a background is computed. Fitted.
+# Approximate memory per pixel [bytes] to load an image, and to compute a background. Larger values refuse more images.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. Limit: the radiance of the sun remains below ``_MOST_RADIANCE``.
 _MOST_SUN = 1e3

@@ -122,7 +122,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     return picture.image(plan)
 
 
-# Memory per pixel of a picture while it is computed [bytes]. Fitted: the largest of several kinds of pictures.
+# Largest memory per pixel of a picture of any kind while it is computed [bytes]. Fitted: measured.
 _BYTES_PER_PIXEL = 210
 
 

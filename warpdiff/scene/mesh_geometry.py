@@ -17,10 +17,10 @@ from warpdiff.core.wording import ArgumentValueError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A face counts as having no area if twice its area is at most this share of its longest edge squared. Limit: rounding
-# of float32.
+# A face counts as having no area if twice its area is at most this share of its longest edge squared. Choice: normals
+# of narrower faces are unreliable.
 ZERO_AREA = 1e-9
-# Vertices closer than this distance [radii of the mesh] count as being at one position. Limit: rounding of float32.
+# Vertices closer than this distance [radii of the mesh] count as being at one position. Choice: above float32 rounding.
 WELD = 1e-6
 # Cosine of the largest angle between tangents on two sides of a texture seam that are averaged: 30°. Choice: tangents
 # with larger angles remain separate.
