@@ -1,4 +1,4 @@
-"""Atomic increment on all devices."""
+"""Atomic increment of array elements on all devices."""
 
 import warp as wp
 

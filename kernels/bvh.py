@@ -1,4 +1,4 @@
-"""Camera rays through a bounding volume hierarchy, for GPUs and for launches that are recorded."""
+"""Camera rays through a hierarchy of bounding boxes, for GPUs and for launches that are recorded."""
 
 import warp as wp
 
@@ -6,11 +6,11 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
-# The flags keep infinities defined: the hierarchy's tests of boxes rely on them.
+# The hierarchy's tests of boxes rely on infinities, which the project's compiler flags preserve.
 wp.set_module_options(compile_options.options())
 
-# Length of a ray [radii of the mesh]. Derived: rays start at most 2 before their point nearest to the centre, so that
-# they leave the unit sphere within 3. A larger length changes nothing.
+# Length of a ray [radii of the mesh]. Derived: a ray starts at most 2 radii before its point nearest to the centre, so
+# that it leaves the unit sphere within 3 radii. A larger length changes nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
@@ -28,7 +28,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
             return UNSEEN
         offset = sampling.places[ray % rays]
 
-    # The ray is in float64 until it is near the mesh: the eye may be thousands of radii away.
+    # The ray is computed in float64 until it is near the mesh, as the eye may be thousands of radii away.
     two = wp.float64(2.0)
     column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
     row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
@@ -41,7 +41,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
         origin = camera.axes[0] + across
         along = -camera.axes[3]
     along = wp.normalize(along)
-    # The mesh lies in the unit sphere: most rays that miss it end here.
+    # The mesh is within the unit sphere. Most rays that miss the mesh miss the sphere and end here.
     ahead = -wp.dot(origin, along)
     closest = origin + ahead * along
     if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
@@ -61,15 +61,15 @@ def trace_bvh(
     # Out:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Find the first face that each ray hits, by the hierarchy.
+    """Find the first face that each ray hits, by the hierarchy of bounding boxes.
 
     Args:
         camera: The view.
         surface: The mesh.
         sampling: Positions of the rays.
-        first: The first thread's pixel, or ray of a tile.
+        first: Index of the first thread's first ray.
         run: Number of rays per thread.
-        nearest_out: Index of the face in the lower 32 bits; ``UNSEEN`` if the ray hits none.
+        nearest_out: Index of the face in the lower 32 bits; ``UNSEEN`` if the ray hits no face.
     """
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         nearest_out[ray] = trace(camera, surface, sampling, ray)

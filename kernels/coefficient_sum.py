@@ -1,10 +1,10 @@
 """Coefficient sum: windowed Fourier coefficients near (u, v)/λ, integrated over a set of wavelengths.
 
-One thread is one direction. At each wavelength the coefficients around q = (u, v)/λ are weighted by the Gaussian of the
-coherence, as powers or as amplitudes; of finitely many copies of the patch, amplitudes on a finer grid are weighted by
-an interpolation kernel instead, and the copies' interference factor multiplies the result. A coefficient is the scalar
-product of a basis in κ = w/λ, the same for all coefficients, with its row of a table; the basis is interpolated from a
-table of its own, so that the kernels serve any series.
+One thread computes one direction. At each wavelength, coefficients near q = (u, v)/λ are weighted by the Gaussian of
+the coherence, as powers or as amplitudes. For finitely many periods of the patch, an interpolation kernel weights
+amplitudes on a finer grid. The result is multiplied by the interference factor of the periods. A coefficient is the
+scalar product of its row in a table and a basis in κ = w/λ, which all coefficients share. The basis is interpolated
+from a second table, so that the kernels serve any series.
 """
 
 import functools
@@ -19,24 +19,24 @@ OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of taps of the interpolation kernel along an axis. Limit: time is proportional to it.
 TAPS = 8
-# Below this argument the copies' factor is its parabola, whose error is of the fourth order.
+# Argument below which a parabola replaces the interference factor. Derived: the parabola's error is of fourth order.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
 @wp.struct
 class Quadrature:
-    """Wavelengths and their colour weights, in sets of which each has 2^(−1/4) of the samples of the one before.
+    """Sets of wavelengths with colour weights; each set has 2^(−1/4) of the samples of the set before.
 
-    A direction takes the set for its bandwidth as a share of the largest one, |(per_u u, per_v v)| + per_w |w| +
-    constant; u and v are stretched along a source's foreshortening.
+    A direction uses the set for its bandwidth, as a share of the largest one: |(per_u u, per_v v)| + per_w |w| +
+    constant. For a source, u and v are stretched along its foreshortening.
     """
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
     weights: wp.array(dtype=wp.vec3f)
-    reflectances: wp.array2d(dtype=wp.float32)  # of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
-    least_nm: wp.float64
-    firsts: wp.array(dtype=wp.int32)  # where each set begins, and where the last one ends
-    subdivisions: wp.int32  # for copies: samples of their factor from one sample of the patch to the next
+    reflectances: wp.array2d(dtype=wp.float32)  # R of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
+    least_nm: wp.float64  # first wavelength of ``reflectances`` [nm]
+    firsts: wp.array(dtype=wp.int32)  # first index of each set, and end of the last one
+    subdivisions: wp.int32  # for periods: samples of the interference factor per sample of the patch
     per_u: wp.float32
     per_v: wp.float32
     per_w: wp.float32
@@ -45,7 +45,7 @@ class Quadrature:
 
 @wp.func
 def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-    """R(θd, λ) of the quadrature's material, with cos θd = |(u, v, w)|/2; 1 where it has none."""
+    """Return R(θd, λ) of the quadrature's material, with cos θd = |(u, v, w)|/2; 1 without a material."""
     if quadrature.reflectances.shape[0] == 0:
         return wp.float32(1.0)
     place = wp.min(wp.length(scattering_vector) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
@@ -63,21 +63,21 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """The Gaussian exp(−across dy² − along (dx + slant dy)²) over distances in coefficients, for one direction."""
+    """Gaussian exp(−across dy² − along (dx + slant dy)²) over distances in coefficients, for one direction."""
 
     across: wp.float32
     along: wp.float32
     slant: wp.float32
-    radius_y: wp.float32  # in coefficients, of coefficients that are not truncated
+    radius_y: wp.float32  # radius within which coefficients are summed, in coefficients
     radius_x: wp.float32
-    shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are the same at all wavelengths
+    shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are equal at all wavelengths
     shrink_x: wp.float32
 
 
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
-    """[sin(πNt)/(N sin(πt))]² at the position t in coefficients of the patch; 1 where t is whole."""
-    # Both arguments are reduced to half a period in float64: N t is thousands, and float32 would lose it.
+    """Return [sin(πNt)/(N sin(πt))]² at the position t in coefficients of the patch; 1 where t is a whole number."""
+    # Both arguments are reduced to half a period in float64, as N t may be thousands and float32 is too coarse.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -91,12 +91,12 @@ def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32
 
 @functools.cache
 def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
-    """The struct and the kernels for rows of ``lanes`` terms.
+    """Return the struct and the kernels for rows of ``lanes`` terms.
 
     Args:
-        lanes: Length of a row of the table.
+        lanes: Number of terms in a row of the table.
         form: One of ``FORMS``.
-        powers: Whether a row gives the power of a coefficient; otherwise two rows give its amplitude.
+        powers: Whether a row yields the power of a coefficient; otherwise two rows yield its amplitude.
 
     Returns:
         A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
@@ -108,31 +108,32 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.struct
     class Table:
         rows: wp.array(dtype=row_t)  # (my·mx) powers, or (my·mx·2) real and imaginary parts
-        basis: wp.array(dtype=row_t)  # the basis at equal steps in |κ|, one step before the range and two behind
-        kappa_low: wp.float64  # |κ| of the second entry [1/µm]
-        steps: wp.float64  # entries per unit of |κ|
+        basis: wp.array(dtype=row_t)  # basis at equal steps in |κ|, with one step before the range and two after it
+        kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
+        steps: wp.float64  # entries of ``basis`` per unit of |κ|
         count_y: wp.int32
         count_x: wp.int32
         origin_y: wp.int32
         origin_x: wp.int32
         length_y: wp.float64  # coefficients per unit of frequency [µm]
         length_x: wp.float64
-        exponent: wp.float32  # coefficients of less weight than exp(−exponent) are truncated
-        across: wp.float32  # the window's, or a source's facing it, at λ = 1 µm
+        exponent: wp.float32  # coefficients with a weight below exp(−exponent) are truncated
+        across: wp.float32  # falloff of the window, or of a source at normal incidence, at λ = 1 µm
         along: wp.float32
-        taps_y: wp.array2d(dtype=wp.float32)  # for copies: polynomials of the interpolation kernel, tap by tap
-        taps_x: wp.array(dtype=taps_t)  # the same, coefficient by coefficient
+        taps_y: wp.array2d(dtype=wp.float32)  # for periods: polynomials of the interpolation kernel, tap by tap
+        taps_x: wp.array(dtype=taps_t)  # the same polynomials, by power and then by tap
         periods_y: wp.float64
         periods_x: wp.float64
-        patch_y: wp.float64  # the patch's size [µm]
+        patch_y: wp.float64  # size of the patch [µm]
         patch_x: wp.float64
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
-        """The Gaussian for one direction to the light."""
+        """Return the Gaussian over coefficients for one direction to the light."""
         window = Window()
         if wp.static(form == "source"):
-            # Σ⁻¹ = (1 + t tᵀ/cos²θ)/s², whose determinant is 1/(s⁴cos²θ): Cholesky's factors without cancellation.
+            # Let t be the tangential part of the direction to the light. Under a source, the inverse covariance of
+            # (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². Cholesky factors of Σ⁻¹ avoid cancellation.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent
@@ -151,7 +152,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def basis_at(table: Table, kappa: wp.float64) -> row_t:
-        """The basis at |κ|: the cubic through four entries of its table, the first of which lies before the range."""
+        """Return the basis at |κ|: the cubic through four table entries, the first of which is before the range."""
         steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
         entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
         t = wp.float32(steps - wp.float64(entry))
@@ -167,8 +168,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
-        # Positions reach hundreds of coefficients and Gaussians are narrow: the integer part is taken off in float64.
+        """Return ⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
+        # Positions reach hundreds of coefficients, while Gaussians are a few coefficients wide. The integer part of a
+        # position is removed in float64.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))
@@ -204,8 +206,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         total_im = wp.float32(0.0)
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
-        # The Gaussian along an axis takes two multiplications a step from its first coefficient on. Where there is a
-        # second one, the factors below are at most exp(exponent).
+        # From one coefficient to the next along an axis, the Gaussian requires two multiplications. If a second
+        # coefficient exists, the factors below are at most exp(exponent).
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):
@@ -228,7 +230,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # Rows of a slanted ellipse begin at their own place.
+                # Each row of a slanted ellipse begins at a different coefficient.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -262,13 +264,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # A mean of phases is at most 1. A series far beyond its range, which is computed on request only, may overflow
-        # to infinity or NaN; wp.min then returns its second argument.
+        # A mean of phases is at most 1. A series far beyond its range, which is computed only on request, may overflow
+        # to infinity or NaN. wp.min then returns its second argument.
         return wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """|mean over one patch|² at one wavelength, between its coefficients."""
+        """Return the power of one patch at one wavelength, interpolated between the patch's coefficients."""
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.floor(qy))
@@ -308,18 +310,18 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def interference_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """The copies' factor at one wavelength."""
+        """Return the interference factor of the periods at one wavelength."""
         y = interference_factor(scattering_vector[1] * wavenumber * table.patch_y, table.periods_y)
         x = interference_factor(scattering_vector[0] * wavenumber * table.patch_x, table.periods_x)
         return y * x
 
     @wp.func
     def set_for(quadrature: Quadrature, scattering_vector: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
-        """The set of wavelengths that a direction takes."""
+        """Return the index of the set of wavelengths for a direction."""
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # A foreshortened source is coherent over longer distances along its tangent.
+            # A foreshortened source is coherent over a longer distance along its tangent.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:
@@ -336,7 +338,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         # Out:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction to ``xyz_out``."""
+        """Add the XYZ of each direction, an integral over its set of wavelengths times its gain, to ``xyz_out``."""
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
@@ -344,11 +346,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]
             end = quadrature.firsts[chosen + 1]
-            # Thousands of samples add up: in float32 their rounding would show at the tightest tolerances.
+            # Thousands of samples are added in float64. In float32 rounding would exceed the tightest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
-                # The patch is sampled at every subdivisions-th wavelength and its power interpolated by cubics; the
-                # copies' factor, which is cheap and changes faster by their number, at all of them.
+                # The power of the patch is computed at every wavelength number ``subdivisions`` and interpolated by
+                # cubics. The interference factor is cheap and changes faster: it is computed at all wavelengths.
                 divisions = quadrature.subdivisions
                 intervals = (end - start - 1) // divisions
                 g0 = patch_power(table, scattering_vector, quadrature.wavenumbers[start])
@@ -392,7 +394,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         # Out:
         reflectance_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
-        """ρ of each direction at each of the given wavelengths."""
+        """Compute ρ of each direction at each of the given wavelengths."""
         i = first + wp.tid()
         gain = gains[i]
         window = Window()

@@ -1,15 +1,16 @@
-"""Colour look-up: kernels of a table that holds the integral over λ for every (u, v) and function of w.
+"""Colour look-up: kernels of a table that contains the integral over λ for every (u, v) and function of w.
 
-As λ goes from red to blue, (u, v)/λ runs over one octave of an azimuth of the frequency plane. The power spectrum is
-taken on azimuths, at rings of equal ratios along them, each the integral of the spectrum under a quadratic B-spline in
-ln t, t = |(u, v)|/λ. A colour is then a sum over one octave's rings, with weights that are the projection of the colour
-curves on the same splines, however many orders the azimuth passes. Where |(u, v)| takes the same ratios, these weights
-are the same at every ring, and w comes in through a few functions that all share: the sum is done beforehand, and what
-is left of a colour is a spline between rings and azimuths, and a scalar product with the functions at w.
+As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency plane, over one octave. The power
+spectrum is sampled on azimuths, at rings of equal ratios. The value of a ring is the integral of the spectrum under a
+quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights
+are the projection of the colour curves on the same splines, for any number of orders along the azimuth. Every radius at
+which a colour is computed has the same weights. The weights depend on w through a few functions, so that the sum is
+computed in advance for each function. A look-up interpolates between rings and azimuths, and multiplies by the
+functions at w.
 
-A pixel sees a range of (u, v). Powers add, so that its mean is a spectrum blurred by the same angle and the same ratio
-at all wavelengths: levels of the table are blurred in angle, with fewer azimuths, and in ratio look-ups take more
-rings. A source does the same to the lines of an endless surface.
+A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
+at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. Blur in ratio is a sum over
+more rings at look-up. A source has the same effect on the lines of an endless surface.
 """
 
 import functools
@@ -22,54 +23,56 @@ from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Loops are not unrolled, which shortens compilation.
+# Options of the kernels: the compiler does not unroll loops, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, that a look-up sums by the tables of weights. As many azimuths are
-# repeated at either end of a turn. Limit: twice as many double the size of the tables of weights.
+# Half of the largest number of azimuths, or rings, that a look-up sums with tabulated weights. Every ring has this many
+# repeated azimuths at both ends. Limit: twice as many double the size of the tables of weights.
 HALF_TAPS = 7
 # Largest number of directions that a thread of the CPU looks up in one call. Limit: size of local arrays.
 BATCH = 256
-# Number of directions ahead of the present one whose rows are requested from memory.
+# Number of directions between the present one and the one whose rows are prefetched from memory. Choice: other numbers
+# change only the time.
 _AHEAD = 3
-# Taps on either side of the filter that turns samples into spline coefficients: the factor −0.17 to the sixth is 3e-5.
+# Taps on each side of the filter that converts samples to spline coefficients. Limit: the rest is −0.17 to the sixth
+# power, 3e-5.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of rows that a blur adds at a time.
+# Number of rows that a blur adds at a time. Limit: size of local arrays.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
-# Largest number of parts of a footprint along its angle. Limit: each part takes time.
+# Largest number of parts into which a footprint is divided along its angle. Limit: time is proportional to the parts.
 MOST_PARTS = 12
-# Rings of the table within this number of standard deviations contribute to a wide blur.
+# Half width of a wide blur over rings [standard deviations]. Limit: time is proportional to it.
 DEVIATIONS = 3.0
 
 
 @wp.struct
 class FootprintTaps:
-    """Weights of the azimuths, or rings, around a place: the spline between them, blurred by part of the footprint."""
+    """Weights of azimuths, or rings, around a position: the spline between them, blurred by part of a footprint."""
 
-    weights: wp.array3d(dtype=wp.float32)  # (variances, fractions, 2 HALF_TAPS)
-    lengths: wp.array(dtype=wp.int32)  # how many of them count, from the first one on
-    per_variance: wp.float32  # entries per unit of the variance, in distances of azimuths squared
-    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … of them: the variance within, then places and weights
+    weights: wp.array3d(dtype=wp.float32)  # weights, (variances, fractions, 2 HALF_TAPS)
+    lengths: wp.array(dtype=wp.int32)  # number of weights in use for each variance, from the first one on
+    per_variance: wp.float32  # entries per unit of the variance, in squared distances of azimuths
+    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … parts of a footprint: their variance, positions and weights
 
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Weights of three neighbours by the quadratic B-spline, a place away from the middle one."""
+    """Return the weights of three neighbouring samples in a quadratic B-spline, at ``away`` from the middle one."""
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
 @wp.func
 def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
-    """1 in the middle."""
+    """Return a Gaussian that is 1 at its centre."""
     return wp.exp(-0.5 * away * away / variance)
 
 
 def variance_before(deviations: float) -> float:
-    """Variance of a normal distribution that has one of 1 once it is cut so far out."""
+    """Return the variance of a normal distribution whose variance is 1 after truncation at some deviations."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
@@ -80,11 +83,11 @@ def variance_before(deviations: float) -> float:
 
 @functools.cache
 def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
-    """The struct of a colour table with so many functions of w, and the kernels that do not depend on its making.
+    """Return the struct of a colour table with some number of functions of w, and its kernels.
 
     Args:
         w_basis_size: Number of functions of w.
-        source: Whether rows are lines under a source; otherwise a spectrum under a window.
+        source: Whether rows are lines under a source; otherwise they are a spectrum under a window.
 
     Returns:
         A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
@@ -98,32 +101,32 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y, Z: level, octave, azimuth and ring, slowest first
-        w_basis: wp.array(dtype=w_basis_t)  # at equal steps in |w|
-        least_w: wp.float32  # |w| of the first of them
-        per_w: wp.float32  # entries per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # (levels, octaves), the row of azimuth 0
-        azimuths: wp.array2d(dtype=wp.int32)  # (levels, octaves), number of azimuth samples
-        blurs: wp.array2d(dtype=wp.float32)  # (levels, octaves), what they are blurred by [rad]
+        rows: wp.array(dtype=row_t)  # X, Y and Z by level, octave, azimuth and ring, slowest index first
+        w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
+        least_w: wp.float32  # |w| of the first entry of ``w_basis``
+        per_w: wp.float32  # entries of ``w_basis`` per unit of |w|
+        first_rows: wp.array2d(dtype=wp.int32)  # row of azimuth 0, (levels, octaves)
+        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, (levels, octaves)
+        blurs: wp.array2d(dtype=wp.float32)  # standard deviation of the blur in angle [rad], (levels, octaves)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # rings per unit of ln |(u, v)|
-        octaves_per_ring: wp.float32  # octaves a ring
-        decimation_scale: wp.float32  # what of colours is sharper than the curves, per ring; see ``colour_table``
-        ring_of_one: wp.float32  # the ring where |(u, v)| is 1
-        least_uv: wp.float32  # below this |(u, v)| the spectrum is flat
-        lobe_uv: wp.float32  # of a single coefficient's lobe in |(u, v)|, at a middle wavelength
-        zeroth_order: wp.array(dtype=wp.float32)  # the power of its coefficient, which rows leave out, by |κ|
-        least_kappa: wp.float32  # |κ| of the first of them
-        per_kappa: wp.float32  # entries per unit of |κ|
-        lobe2: wp.float32  # variance of its lobe in frequency; 0 for a source
-        wavenumbers: wp.array(dtype=wp.float32)  # for its integral over λ
-        weights: wp.array(dtype=wp.vec3f)
+        octaves_per_ring: wp.float32  # octaves per ring
+        decimation_scale: wp.float32  # large values prevent look-ups from skipping rings; see ``colour_table``
+        ring_of_one: wp.float32  # ring at |(u, v)| = 1
+        least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
+        lobe_uv: wp.float32  # standard deviation in (u, v) of a coefficient's lobe, at a middle wavelength
+        zeroth_order: wp.array(dtype=wp.float32)  # power of the zeroth order by |κ|, which rows exclude
+        least_kappa: wp.float32  # |κ| of the first entry of ``zeroth_order``
+        per_kappa: wp.float32  # entries of ``zeroth_order`` per unit of |κ|
+        lobe2: wp.float32  # variance of the zeroth order's lobe in frequency; 0 for a source
+        wavenumbers: wp.array(dtype=wp.float32)  # 1/λ for the zeroth order's integral over λ [1/µm]
+        weights: wp.array(dtype=wp.vec3f)  # colour weights at ``wavenumbers``
         reflectances: wp.array2d(dtype=wp.float32)  # R of a material at these, by cos θd from 0 to 1; empty is 1
-        line_blurs2: wp.array(dtype=wp.float32)  # of a source's lines, by octave: variance of their own blur [rad²]
-        spread2: wp.float32  # of a source: the variance s² of (u, v) across its direction
-        inner_radius2: wp.float32  # of a source: below this |(u, v)|² directions are unserved
+        line_blurs2: wp.array(dtype=wp.float32)  # for a source: variance of the lines' blur in angle [rad²], by octave
+        spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
+        inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
 
-    # The second index avoids a second compiled variant: see ``light_samples``.
+    # A second thread index, always 0, avoids a second compiled variant of the kernel: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         # In:
@@ -132,9 +135,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Coefficients of the quadratic spline that passes through one octave's values, and those beyond a turn.
+        """Compute the coefficients of the quadratic spline through one octave's values, and repeat the first azimuths.
 
-        Sums over as many azimuths on either side as the powers of the spline's pole count.
+        Each coefficient is a sum over ``FILTER_REACH`` azimuths on both sides, as the weights decrease quickly.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -159,9 +162,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Values on the azimuths of a level: a Gaussian around each of another level's coefficients.
+        """Compute values on the azimuths of a level: a Gaussian blur of the coefficients of a finer level.
 
-        Their spline itself has a variance of a quarter of the distance of azimuths, squared.
+        The quadratic spline itself has a variance of a quarter of the squared distance of azimuths.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -180,7 +183,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # A few at a time, as what is written is read again.
+            # A few azimuths are added at a time, as each pass reads and writes all rings.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):
@@ -204,7 +207,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of a run of scattering vectors times their gains."""
+        """Add the XYZ of scattering vectors from ``begin`` to ``end``, times their gains."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -216,7 +219,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the mean XYZ over footprints and the source of a run of scattering vectors times their gains."""
+        """Add the mean XYZ over footprints and the source, of scattering vectors from ``begin`` to ``end``."""
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
@@ -227,10 +230,10 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Out:
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of ``run`` directions per thread to ``xyz_out``; an empty array of footprints stands for none.
+        """Add the XYZ of ``run`` directions per thread, times their gains; ``footprints`` may be empty.
 
-        Of a source, directions that the table does not serve are skipped, and ``unserved_gain`` holds their
-        gains, others' are 0.
+        With a source, directions that the table does not serve are skipped. ``unserved_gain`` gets their gains, and 0
+        for other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

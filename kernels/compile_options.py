@@ -8,9 +8,9 @@ from typing import Any
 import warp as wp
 
 # Compiler flags for the CPU. -mreassociate and -fno-signed-zeros let the compiler reorder sums over a table's rows into
-# SIMD lanes; NaN and infinity stay defined. The last two shorten compilation (measured): without bfloat16, which no
-# kernel uses, each compiling thread precompiles Warp's headers in 1.1 s instead of 1.7 s. Templates that are
-# instantiated beforehand save 0.05 to 0.1 s per module.
+# SIMD lanes; NaN and infinity remain defined. The last two flags shorten compilation. Without bfloat16, which no kernel
+# uses, each compiling thread precompiles Warp's headers in 1.1 s instead of 1.7 s. Instantiated templates in the
+# precompiled headers save 0.05 to 0.1 s per module.
 _FLAGS = (
     "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast -DWP_NO_BFLOAT16= -fpch-instantiate-templates"
 )
@@ -28,8 +28,8 @@ def headers(name: str) -> tuple[Path, ...]:
 def options(*names: str, **others: Any) -> dict[str, Any]:
     """Return module options for kernels whose native functions are in headers of ``native``.
 
-    All modules get the same include folder, as Warp precompiles its headers again for other options. Warp compiles a
-    module again if one of its headers has changed.
+    All modules get the same include folder, because Warp precompiles its headers again for other options. A module is
+    compiled again if one of its headers has changed.
     """
     includes = "".join(f'#include "{name}"\n' for name in names)
     build = wp.ModuleBuildOptions(

@@ -1,4 +1,4 @@
-"""Disc samples: directions to a disc light; each sample is a Gaussian of directions, and their sum is the disc."""
+"""Disc samples: directions drawn to a disc light; each sample is blurred, and together they have the disc's extent."""
 
 import math
 
@@ -11,14 +11,15 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Share of the samples that are drawn around the mirror direction, and largest distance of that direction from the disc
-# at which they are [standard deviations of the zeroth order]. Limits: other values change the noise, not the mean.
+# Share of the samples that are drawn around the mirror direction if that direction is near the disc. ``REACH`` is the
+# largest distance from the disc that counts as near [standard deviations of the zeroth order]. Choices: other values
+# change the noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
 @wp.func
 def on_disc(point: wp.vec2f) -> wp.vec2f:
-    """Map the unit square to the unit disc, which keeps areas (Shirley and Chiu 1997)."""
+    """Map the unit square to the unit disc such that areas are preserved (Shirley and Chiu 1997)."""
     x = 2.0 * point[0] - 1.0
     y = 2.0 * point[1] - 1.0
     if x == 0.0 and y == 0.0:
@@ -43,20 +44,20 @@ def draw_disc(
     """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.
 
     Args:
-        lights: The lights; deviations are those of the disc, half of its radius.
-        light_index: The light.
-        extent: Standard deviation of a sample's own directions, in radii of the disc, at most 0.5. Samples lie within a
-            smaller disc, so that together they have the variance of the disc.
+        lights: The lights; their deviations are half of the disc's radius.
+        light_index: Index of the disc light.
+        extent: Standard deviation of the blur of a sample, in radii of the disc, at most 0.5. Directions are drawn on a
+            smaller disc, so that with the blur they have the variance of the disc.
         lobe: Standard deviation of the zeroth order in (u, v).
-        pixels: Hits.
-        tiles: As for ``sample_index``, like the next ones.
-        width: Pixels in a row.
-        across: Cells along a side of a pixel.
-        sample: Index of the sample among those of the ray.
-        samples: Number of samples of each ray.
-        first: The first thread's ray.
+        pixels: Hits of the rays.
+        tiles: Pixels whose cells are the rays; empty stands for one ray per pixel of the picture.
+        width: Number of pixels per row.
+        across: Number of cells along a side of a pixel.
+        sample: Index of the sample among the samples of the ray.
+        samples: Number of samples per ray.
+        first: Index of the first thread's first ray.
         run: Number of rays per thread.
-        towards_out: Unit vectors towards the light, world frame, and weights, whose mean is 1; 0 beyond the disc.
+        towards_out: Unit vectors towards the light, world frame, and weights with a mean of 1; 0 beyond the disc.
     """
     place = lights.places[light_index]
     axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
@@ -64,7 +65,8 @@ def draw_disc(
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
     spread = wp.sqrt(lobe * lobe + extent * extent * radius * radius)
-    # Equal areas in a plane are equal solid angles: the square of the distance there is 2 (1 − cos θ).
+    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from its
+    # origin. The map preserves areas.
     edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -78,7 +80,7 @@ def draw_disc(
         share = wp.where(wp.length(mirrored - axis) < edge + REACH * spread, MIRROR_SHARE, 0.0)
         towards = wp.vec3f()
         if point[0] < share:
-            # A Gaussian in (u, v), which is across the normal.
+            # Draw from a Gaussian in (u, v), in the plane perpendicular to the normal.
             size = spread * wp.sqrt(-2.0 * wp.log(1.0 - point[0] / share))
             angle = wp.static(2.0 * math.pi) * point[1]
             across_normal = mirrored - wp.dot(mirrored, normal) * normal
@@ -96,7 +98,7 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # Densities per area of the plane; those of (u, v) are per cosine.
+            # Both densities are per solid angle. A density per area of (u, v) is multiplied by the cosine for this.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

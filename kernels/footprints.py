@@ -1,7 +1,8 @@
 """Footprints of pixels in (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray hits.
 
-The eye's direction, the point of the face's plane, its shading frame and so (u, v) change with the place in the picture
-in closed form. They do not depend on neighbouring pixels, so that nothing leaks over edges, and every ray has its own.
+The view direction, the hit point and the shading frame are differentiated in closed form with respect to the position
+in the picture. The derivatives of (u, v) follow from them. Neighbouring pixels are not used, so that edges do not
+affect footprints.
 """
 
 import warp as wp
@@ -9,7 +10,7 @@ import warp as wp
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
-# Least cosine between the view and a face. Limit: division by smaller cosines makes footprints that are streaks anyway.
+# Least cosine between the view and a face. Limit: smaller cosines only lengthen footprints that are streaks anyway.
 LEAST_FACING = 1e-4
 
 
@@ -21,4 +22,4 @@ def pixel_footprints_run(
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32, begin: wp.int32, end: wp.int32, footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Find the footprints of the rays from ``begin`` to ``end``."""
+    """Compute the footprints of the rays from ``begin`` to ``end``."""

@@ -1,4 +1,4 @@
-"""Indices into arrays that repeat."""
+"""Indices into periodic arrays."""
 
 import warp as wp
 

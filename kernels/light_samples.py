@@ -1,4 +1,4 @@
-"""Light samples: scattering vectors, gains and footprints of hits under a light."""
+"""Light samples: scattering vectors, gains and footprints at hits under one light."""
 
 import warp as wp
 
@@ -8,34 +8,34 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Warp compiles a second variant of a kernel whose arrays have one index, for contiguous arrays, which is hardly faster.
-# A second index, which is always 0, avoids this variant and a third of the time to compile these modules.
+# Warp compiles a second variant, for contiguous arrays, of every kernel with one thread index. The variant is hardly
+# faster. A second thread index, always 0, avoids the second variant. It saves a third of the compilation time.
 
 
 @wp.struct
 class Lights:
-    """Lights and their reflection by the pigment, in arrays, so that a recorded picture can use the next lights."""
+    """Lights and their reflection by the pigment, in arrays, so that a recorded graph can be replayed with new ones."""
 
-    places: wp.array(dtype=wp.vec4d)  # homogeneous: the direction to a light and 0, or where it is and 1
+    places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
     strengths: wp.array(
         dtype=wp.vec2d
-    )  # power, from a place at a distance of 1, and the pigment's strength over R(0); 0 leaves the pigment out
-    deviations: wp.array2d(dtype=wp.vec3f)  # of the light's directions, along two vectors across it [rad]
-    white_rgb: wp.array(dtype=wp.vec3d)  # ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ in linear sRGB
-    rgb_to_xyz: wp.mat33d
+    )  # power at a distance of 1, and the pigment's strength over R(0), which is 0 without a pigment
+    deviations: wp.array2d(dtype=wp.vec3f)  # deviations of the light's directions along two perpendicular vectors [rad]
+    white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
+    rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
 
 
 @wp.struct
 class Reflection:
-    """Parameters of the reflectance besides the directions."""
+    """Parameters of the reflectance that do not depend on the directions."""
 
-    normal_reflectance: wp.float64  # R(0) of Schlick's; 1 where a material's R is within the integral over λ
+    normal_reflectance: wp.float64  # R(0) of Schlick's approximation; 1 if the integral over λ includes R
     masking: wp.bool
-    per_light_cosine: wp.bool  # for a light of a size
+    per_light_cosine: wp.bool  # whether gains are divided by the light's cosine, for coherence of kind "source"
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
-    materials: wp.array(dtype=wp.int32)  # of each face; empty where there is one
-    # Factors that normalise the energy, by angles from the normal and around it. An empty array leaves the energy of
-    # Stam's model unchanged.
+    materials: wp.array(dtype=wp.int32)  # material of each face; empty for a single material
+    # Factors that normalise the energy, by the angle from the normal and the azimuth. An empty array leaves the energy
+    # of Stam's model unchanged.
     energy: wp.array2d(dtype=wp.float32)
 
 
@@ -52,18 +52,18 @@ def scattering_vectors_run(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Scattering vectors, directions to the light and gains of pixels, and sums of these."""
+    """Compute scattering vectors, directions to the light and gains of pixels, and add hits to the coverage."""
 
 
 @wp.func
 def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
-    """The vector from a point to a light, not of unit length."""
+    """Return the vector from a point to a point light, or the direction to a distant light."""
     return wp.vec3d(place[0], place[1], place[2]) - place[3] * wp.vec3d(point)
 
 
 @wp.func
 def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """Transmittance of a material's surface, in linear RGB, at the cosine of the angle."""
+    """Return the transmittance of a material's surface, in linear RGB, at the cosine of an angle of incidence."""
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
@@ -83,13 +83,13 @@ def scattering_vectors(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Find scattering vectors, directions to the light and gains of pixels under one of the lights.
+    """Compute scattering vectors, directions to the light and gains of pixels under one of the lights.
 
-    All pixels that hit the mesh get a scattering vector; those without light have a gain of 0. The kernel adds the
-    pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated pixels. Coverage and
-    marks start from 0 if the sum ``begins``, ``xyz_out`` if it ``resets``. Empty arrays are not written. ``occluded``
-    marks pixels in shadow; empty stands for none. ``towards`` has directions to the light, and weights, by pixel; empty
-    stands for the direction of the light.
+    All pixels that hit the mesh get a scattering vector; pixels without light have a gain of 0. The kernel adds the
+    pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated pixels. With
+    ``begins``, coverage and marks are set to 0 first; with ``resets``, ``xyz_out`` is. Empty arrays are not written.
+    ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has a direction to the light and a
+    weight per pixel; an empty array stands for the direction of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -123,12 +123,13 @@ def scattering_vectors(
 
 @wp.func
 def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
-    """Return the energy factor a of a direction in the surface's frame, linear between the tabulated angles."""
+    """Return the energy factor a of a direction in the surface's frame, interpolated between tabulated angles."""
     rows = reflection.energy.shape[0]
     columns = reflection.energy.shape[1]
     if rows == 0:
         return 1.0
-    # √(1 − cos θ) is nearly even in θ, and so are shares of |x| + |y| in the angle around: neither takes a sine.
+    # The table has equal steps in √(1 − cos θ), nearly equal in θ, and in y/(|x| + |y|). Neither requires trigonometric
+    # functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
@@ -152,7 +153,7 @@ def balance_energy(
     # Out:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by the energy factors a(ωi) a(ωr)."""
+    """Multiply gains by the energy factors a(ωi) a(ωr) of both directions."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
@@ -171,7 +172,7 @@ def add_light_rotation(
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints the change of the direction to a point light over them, in the plane of the face."""
+    """Add to footprints the change of the direction to a point light across the footprint, in the plane of the face."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])
@@ -204,7 +205,7 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # (u, v) is against the light.
+            # When the point moves, the direction to the light changes by −``rotated``, and (u, v) by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -219,10 +220,11 @@ def add_light_extent(
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Footprints in (u, v), widened by a light's directions, as two changes: the sum of both covariances.
+    """Widen footprints in (u, v) by the extent of a light: both covariances are added.
 
-    These directions are those of the light, or a share ``extent`` of its radius, which is twice its deviations, around
-    those that pixels have of their own, ``towards``; empty is none.
+    If ``towards`` is empty, the extent is that of the light's directions. Otherwise the extent is a Gaussian around
+    each pixel's direction in ``towards``, with a standard deviation of ``extent`` radii of the disc. The radius is
+    twice the light's deviations.
     """
     own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()
@@ -236,7 +238,8 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # The component across a direction is the vector minus its component along the direction.
+                # The covariance perpendicular to a direction is an isotropic one, added here, minus the part along the
+                # direction, subtracted below.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x
@@ -249,7 +252,7 @@ def add_light_extent(
             xx -= x * x
             xy -= x * y
             yy -= y * y
-        # Cholesky's factor of the covariance.
+        # The two changes of the new footprint are the Cholesky factor of the covariance.
         along = wp.sqrt(wp.max(xx, 1.0e-20))
         beside = xy / along
         footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))
@@ -263,7 +266,7 @@ def select_material(
     # Out:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Gains of the pixels whose faces are of one material, and 0 elsewhere."""
+    """Copy the gains of pixels whose faces have one material, and set other gains to 0."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         gain = gains[i]
@@ -280,7 +283,7 @@ def pixel_footprints(
     # Out:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Footprints in (u, v) of rays' filters of a deviation in pixels."""
+    """Compute footprints in (u, v) of the rays' filters, whose standard deviation is given in pixels."""
     thread, _ = wp.tid()
     begin = first + thread * run
     pixel_footprints_run(camera, surface, pixels, scattering_vectors, deviation, begin, begin + run, footprints_out)

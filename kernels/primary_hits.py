@@ -1,4 +1,4 @@
-"""Primary hits: rays of pixels, their intersections with the mesh, shading frames and base colours."""
+"""Primary hits: intersections of camera rays with the mesh, shading frames and base colours."""
 
 import warp as wp
 
@@ -10,11 +10,11 @@ wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "
 
 # Largest distance of a sample from its pixel's centre along an axis [pixels]. Derived: the cut of the pixel filter.
 MOST_OFFSET = 1.5
-# Value of a ray that hits no face.
+# Value of ``nearest`` for a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
-# Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two of the R2 sequence (Roberts 2018),
-# the last three as shares of 2^32.
+# Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two numbers of the R2 sequence (Roberts
+# 2018). The last three are shares of 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -24,7 +24,7 @@ R2_Y = wp.constant(wp.uint32(2447445414))
 
 @wp.func
 def scramble(value: wp.uint32) -> wp.uint32:
-    """Hash 32 bits to 32 bits."""
+    """Return a 32-bit hash of a 32-bit number."""
     x = value
     x = x ^ (x >> wp.uint32(16))
     x = x * HASH_1
@@ -41,11 +41,11 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 
 @wp.func
 def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
-    """Where in the pixel a sample lies, (right, down) of its centre [pixels].
+    """Return the position of a sample in a pixel, (right, down) of the centre [pixels].
 
-    The offsets are distributed as the reconstruction filter, a Gaussian of 0.5 pixel cut at 1.5, so that samples
-    count alike. They follow the R2 sequence, rotated for each pixel by its hash (Cranley-Patterson);
-    in 32-bit integers the sequence is exact at any index.
+    Offsets have the distribution of the pixel filter, a Gaussian of 0.5 pixel truncated at 1.5, so that all samples
+    have equal weights. Samples follow the R2 sequence, rotated for each pixel by a hash (Cranley-Patterson). In
+    32-bit integers the sequence is exact at any index.
     """
     result = wp.vec2d()
     if samples > 1:
@@ -54,7 +54,7 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
         rotation_y = scramble(rotation_x + GOLDEN)
         radial = to_unit(index * R2_X + rotation_x)
         angular = to_unit(index * R2_Y + rotation_y)
-        # 1 − exp(−1.5² / (2 · 0.5²)) of the Gaussian lies within the cut.
+        # A share of 1 − exp(−1.5² / (2 · 0.5²)) of the Gaussian is within the truncation radius.
         inside = wp.float64(1.0) - wp.exp(wp.float64(-4.5))
         radius = wp.float64(0.5) * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
         angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
@@ -64,9 +64,9 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
 
 @wp.func
 def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
-    """``index`` modulo ``size``, for an index that is out by less than one period.
+    """Return ``index`` modulo ``size``, for an index outside by less than one period.
 
-    With :func:`~warpdiff.kernels.indices.cyclic` texture look-ups round otherwise, and pictures change.
+    :func:`~warpdiff.kernels.indices.cyclic` would round texture look-ups differently and change pictures.
     """
     result = index
     if result < 0:
@@ -78,7 +78,7 @@ def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
 
 @wp.func
 def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
-    """Bilinear texture look-up; the texture repeats, its row 0 is the one at v = 1, texel centres lie at +0.5."""
+    """Return the bilinear colour of a periodic texture, whose row 0 is at v = 1 and whose texel centres are at +0.5."""
     height = texture.shape[0]
     width = texture.shape[1]
     x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5
@@ -94,7 +94,7 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     return (1.0 - fy) * top + fy * bottom
 
 
-# Cells of a pixel at the finest level.
+# Largest number of cells per pixel. Derived: the finest level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 
@@ -105,7 +105,7 @@ def rasterize_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, begin: wp.int32,
     end: wp.int32, nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Rasterize the faces of one thread, and keep the nearest face of each ray."""
+    """Rasterize the faces of one thread, and store the nearest face of each ray."""
 
 
 @wp.kernel
@@ -118,18 +118,18 @@ def rasterize(
 ):  # fmt: skip
     """Find the first face that the ray of each pixel or cell hits, by rasterization; on the CPU only.
 
-    Rays through a hierarchy would test each face's box thousands of times; rasterization projects each face once.
+    Rays through a hierarchy would test the box of each face thousands of times. Rasterization projects each face once.
 
     Args:
         camera: The view.
         surface: The mesh.
-        sampling: Where in the pixel a ray lies.
-        cells: Pixels that are split; empty stands for one ray of each pixel.
-        max_offset: How far from pixels' centres rays lie, at most, along an axis [pixels].
-        first: The first thread's face.
-        run: How many a thread takes.
-        nearest_out: The distance along the view, as the bits of a float32, and the face below them; the smallest is
-            kept. All bits set is none.
+        sampling: Positions of the rays.
+        cells: Pixels that are subdivided; empty stands for one ray per pixel.
+        max_offset: Largest distance of a ray from its pixel's centre, along an axis [pixels].
+        first: Index of the first thread's first face.
+        run: Number of faces per thread.
+        nearest_out: Depth along the view, as the bits of a float32, above the index of the face; the smallest value
+            of each ray is stored. All bits are set if the ray hits no face.
     """
     begin = first + wp.tid() * run
     rasterize_run(camera, surface, sampling, cells, max_offset, begin, begin + run, nearest_out)
@@ -137,7 +137,7 @@ def rasterize(
 
 @wp.func
 def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
-    """Return the base colour at a hit."""
+    """Write the base colour at a hit into ``pixels.base_colour``."""
     i0 = surface.faces[pixels.face[ray], 0]
     i1 = surface.faces[pixels.face[ray], 1]
     i2 = surface.faces[pixels.face[ray], 2]
@@ -151,7 +151,7 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
         c2 = surface.vertex_colours[i2]
         colour = b0 * c0 + b1 * c1 + b2 * c2
     if colour[0] < 0.0:
-        # A plain colour is a texture of one texel.
+        # A uniform colour is stored as a texture of one texel.
         colour = surface.texture[0, 0]
         if surface.texture.shape[0] * surface.texture.shape[1] > 1:
             uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
@@ -178,10 +178,10 @@ def intersect_known_faces(
     Args:
         camera: The view.
         surface: The mesh.
-        sampling: Where in the pixel.
-        pixels: What was and is found.
-        first: The first thread's pixel, or ray of a tile.
-        run: How many a thread takes.
+        sampling: Positions of the rays.
+        pixels: Arrays of hits: ``nearest`` is read, and the position on the face is written.
+        first: Index of the first thread's first ray.
+        run: Number of rays per thread.
     """
     begin = first + wp.tid() * run
     intersect_known_faces_run(camera, surface, sampling, pixels, begin, begin + run)
@@ -210,15 +210,15 @@ def make_shading_frames(
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.
 
-    The frame is right-handed on both sides of the surface: seen from behind, the normal is turned over, t stays, and
-    b = (n × t) · handedness is taken with the turned normal, as if the height field had been laid on that side with
-    the same x direction.
+    The frame is right-handed on both sides of the surface. For a view from behind, the normal is reversed and t does
+    not change. The bitangent b = (n × t) · handedness uses the reversed normal. The height field is then on that side
+    with the same x direction.
 
     Args:
         surface: The mesh.
-        pixels: What was and is found.
-        first: The first thread's pixel.
-        run: How many a thread takes.
+        pixels: Arrays of hits: hits are read, frames and origins are written.
+        first: Index of the first thread's first ray.
+        run: Number of rays per thread.
     """
     begin = first + wp.tid() * run
     if shading_frames_run(surface, pixels, begin, begin + run) == 0:

@@ -1,19 +1,18 @@
-"""Sample sequence: numbers for the samples of a light, stratified over neighbouring cells and pixels.
+"""Sample sequence: random numbers for the samples of a light, stratified over neighbouring cells and pixels.
 
-Samples of neighbouring cells and pixels belong to one (0, 2) sequence along a Morton curve, so that they are stratified
-together and errors look like fine grain (Ahmed and Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling
-error via hierarchical ordering of pixels, 2020). Scrambles are those of Burley (Practical hash-based Owen scrambling,
-2020).
+Samples of neighbouring cells and pixels are consecutive in one (0, 2) sequence along a Morton curve. Errors then look
+like fine grain (Ahmed and Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical
+ordering of pixels, 2020). The scrambling is Burley's (Practical hash-based Owen scrambling, 2020).
 """
 
 import warp as wp
 
-# Seeds of the order of samples, of the numbers that choose a direction, and of those that choose a place within the
-# filter.
+# Seeds of the hashes. The first pair is for the order of samples. The second pair is for the numbers that select a
+# direction of the light. The third pair is for the numbers that select a point of the pixel filter.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
-# Even factors of the hash.
+# Even multipliers of the hash of Laine and Karras.
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
@@ -21,7 +20,7 @@ PER_UNIT = wp.constant(wp.float32(2.0**-24))
 
 @wp.func
 def reverse_bits(value: wp.uint32) -> wp.uint32:
-    """The bits in reverse order."""
+    """Return the bits of an integer in reverse order."""
     x = value
     x = ((x >> wp.uint32(1)) & wp.uint32(0x55555555)) | ((x & wp.uint32(0x55555555)) << wp.uint32(1))
     x = ((x >> wp.uint32(2)) & wp.uint32(0x33333333)) | ((x & wp.uint32(0x33333333)) << wp.uint32(2))
@@ -44,7 +43,7 @@ def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def second_sobol(index: wp.uint32) -> wp.uint32:
-    """The second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the index."""
+    """Return the second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the index."""
     x = index
     x ^= x >> wp.uint32(16)
     x ^= (x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)
@@ -56,7 +55,7 @@ def second_sobol(index: wp.uint32) -> wp.uint32:
 
 @wp.func
 def spread_bits(value: wp.uint32) -> wp.uint32:
-    """The lower 16 bits at the even places."""
+    """Move the lower 16 bits of an integer to the even bit positions."""
     x = value & wp.uint32(0x0000FFFF)
     x = (x | (x << wp.uint32(8))) & wp.uint32(0x00FF00FF)
     x = (x | (x << wp.uint32(4))) & wp.uint32(0x0F0F0F0F)
@@ -66,13 +65,13 @@ def spread_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
-    """The place of a cell of the picture along a Morton curve."""
+    """Return the index of a cell of the picture along a Morton curve."""
     return spread_bits(wp.uint32(column)) | (spread_bits(wp.uint32(row)) << wp.uint32(1))
 
 
 @wp.func
 def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
-    """A point of a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
+    """Return a point of a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
     shuffled = owen_scramble(index, order_seed)
     x = owen_scramble(reverse_bits(shuffled), seed_x)
     y = owen_scramble(second_sobol(shuffled), seed_y)
@@ -87,15 +86,15 @@ def sample_index(
     tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, ray: wp.int32, sample: wp.int32,
     samples: wp.int32,
 ) -> wp.uint32:  # fmt: skip
-    """The place in the sequence of one of the samples of a ray.
+    """Return the index in the sequence of one of the samples of a ray.
 
     Args:
-        tiles: Pixels whose cells the rays are; empty are all pixels of the picture.
-        width: Pixels in a row.
-        across: Cells along a side of a pixel.
-        ray: The ray.
-        sample: Index of the sample among those of the ray.
-        samples: Number of samples of each ray.
+        tiles: Pixels whose cells are the rays; empty stands for one ray per pixel of the picture.
+        width: Number of pixels per row.
+        across: Number of cells along a side of a pixel.
+        ray: Index of the ray.
+        sample: Index of the sample among the samples of the ray.
+        samples: Number of samples per ray.
     """
     pixel = ray
     row = wp.int32(0)
@@ -112,11 +111,11 @@ def sample_index(
 
 @wp.func
 def light_point(index: wp.uint32) -> wp.vec2f:
-    """The numbers that choose a direction of the light."""
+    """Return the two random numbers that select a direction of the light."""
     return sample_point(index, ORDER_SEED, SEED_X, SEED_Y)
 
 
 @wp.func
 def filter_point(index: wp.uint32) -> wp.vec2f:
-    """The numbers that choose a place within the filter."""
+    """Return the two random numbers that select a point of the pixel filter."""
     return sample_point(index, ORDER_SEED_OF_FILTER, SEED_FILTER_X, SEED_FILTER_Y)

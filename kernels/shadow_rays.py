@@ -1,8 +1,8 @@
-"""Shadow rays: a grid over the mesh, seen from the light, whose cells list the faces in them.
+"""Shadow rays: a grid over the mesh as projected along the light, whose cells list the faces in them.
 
-Positions across the light are whole numbers of 2^-24 radii. Their differences and products are exact in float64, so
-that the side of an edge on which a point lies is the same for both faces that meet there, however it is compiled: no
-ray slips between them.
+Positions across the light are whole multiples of 2^-24 radii. Differences and products of positions are exact in
+float64. For two faces that meet at an edge, a point is therefore on the same side of the edge, with any compiler. No
+ray passes between the faces.
 """
 
 import warp as wp
@@ -14,37 +14,37 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# The second index of most kernels avoids a second compiled variant: see ``light_samples``.
+# A second thread index in most kernels, always 0, avoids a second compiled variant: see ``light_samples``.
 
-# Number of grid steps in a radius of the mesh. Limit: 2^24, up to which float32 represents all whole numbers.
+# Number of grid steps per radius of the mesh. Limit: float32 represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# Least cosine to the light at which a shadow ray is traced. Derived: rounding of cosines is smaller.
+# Least cosine to the light at which a shadow ray is traced. Derived: its magnitude exceeds the rounding of cosines.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
 @wp.struct
 class ShadowGrid:
-    """A mesh as a light sees it."""
+    """Grid over a mesh, projected along the direction to a light, with lists of faces by cell."""
 
-    mesh_id: wp.uint64  # whose hierarchy is asked where there is no grid
-    across: wp.vec3d  # unit vectors at right angles to the light, ...
-    up: wp.vec3d
-    towards: wp.vec3d  # ... and towards it
-    low_x: wp.float64  # the first cell's corner [steps]
-    low_y: wp.float64
-    per_step: wp.float64  # cells
+    mesh_id: wp.uint64  # mesh with the hierarchy that is used if the grid has no lists
+    across: wp.vec3d  # first unit vector perpendicular to the light
+    up: wp.vec3d  # second unit vector perpendicular to the light
+    towards: wp.vec3d  # unit vector to the light
+    low_x: wp.float64  # corner of the first cell along ``across`` [steps]
+    low_y: wp.float64  # corner of the first cell along ``up`` [steps]
+    per_step: wp.float64  # cells per step
     columns: wp.int32
     rows: wp.int32
-    is_closed: wp.bool  # so that faces that look away from the light need no lists: others lie beyond them
-    corners: wp.array(dtype=wp.mat33f)  # of each face, a row each, counter-clockwise: across and up [steps], height
-    starts: wp.array(dtype=wp.int32)  # where each cell's list begins, and the last one ends; empty is no grid
-    faces: wp.array(dtype=wp.int32)  # the lists
-    tops: wp.array(dtype=wp.float32)  # the largest height of each listed face
+    is_closed: wp.bool  # whether the mesh is closed; faces that face away from the light then need no lists
+    corners: wp.array(dtype=wp.mat33f)  # corners of each face in rows, counter-clockwise: across, up [steps], height
+    starts: wp.array(dtype=wp.int32)  # beginning of each cell's list, and end of the last list; empty without lists
+    faces: wp.array(dtype=wp.int32)  # faces in the lists, list after list
+    tops: wp.array(dtype=wp.float32)  # largest height of each listed face
 
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """A position across the light, in whole steps, and its height."""
+    """Return a position in the grid's axes: across and up in whole steps, and height towards the light."""
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
@@ -53,13 +53,13 @@ def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
-    """The column or row of a place: never less for one further on."""
+    """Return the column or row of a coordinate; it never decreases as the coordinate increases."""
     return wp.int32(wp.floor((place - low) * per_step))
 
 
 @wp.func
 def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Twice the area between an edge and a point to its left, exactly."""
+    """Return twice the signed area of an edge and a point, exactly; it is positive if the point is to the left."""
     ax = wp.float64(a[0])
     ay = wp.float64(a[1])
     return (wp.float64(b[0]) - ax) * (y - ay) - (wp.float64(b[1]) - ay) * (x - ax)
@@ -67,7 +67,7 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """First and last column and row of a face's box; none of a face without area."""
+    """Return the first and last column and row of a face's box; the ranges are empty for a face without area."""
     c0 = corners[0]
     c1 = corners[1]
     c2 = corners[2]
@@ -88,7 +88,7 @@ def project(
     # Out:
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Each face's corners as the light sees them, and how many cells its box overlaps; none if it needs no lists."""
+    """Project the corners of faces, and count the cells that each face's box overlaps; 0 for faces without lists."""
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = light_coordinates(grid, positions[faces[face, 0]])
         p1 = light_coordinates(grid, positions[faces[face, 1]])
@@ -132,9 +132,9 @@ def fill(
     # Out:
     ends_out: wp.array(dtype=wp.int32),
 ):
-    """The cells' lists, in whatever order threads come: whether any face hides the light does not depend on it.
+    """Fill the cells' lists; their order depends on the threads, but occlusion does not depend on the order.
 
-    ``ends_out`` are the lists' beginnings and become their ends.
+    On input ``ends_out`` has the beginnings of the lists, on output their ends.
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
@@ -148,7 +148,7 @@ def fill(
                 grid.tops[place] = top
 
 
-# Places, cells and sides of edges are those of ``light_coordinates``, ``cell_of`` and ``left_of``, which make lists.
+# The native look-up computes coordinates, cells and sides of edges exactly as the functions above that make the lists.
 @wp.func_native(
     f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
     "occluded_out);"
@@ -157,7 +157,7 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Find, for the pixels of one thread, whether faces in the lists occlude the light."""
+    """Determine for the pixels of one thread whether faces in the lists occlude the light."""
 
 
 @wp.kernel
@@ -170,8 +170,8 @@ def trace_shadow_rays(
 ):  # fmt: skip
     """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.
 
-    ``grid`` is that of the same light, and has no lists for a point light. ``directions`` has directions to the light,
-    and weights, by pixel; empty stands for the direction of the light.
+    ``grid`` belongs to the same light, and has no lists for a point light. ``directions`` has a direction to the light
+    and a weight per pixel; an empty array stands for the direction of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))

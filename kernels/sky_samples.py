@@ -1,7 +1,7 @@
-"""Sky samples: directions drawn in proportion to what a surface sends from them, and to the sky.
+"""Sky samples: directions drawn in proportion to the light that the surface scatters from them, and to the sky.
 
-A sample's place in (u, v) comes from a table of the surface's own colours, or its direction from blocks of the sky; its
-density is that of both together (balance heuristic, Veach 1997).
+Some samples draw (u, v) from a table of the surface's colours, other samples draw a direction from blocks of the sky.
+The sample's density combines both (balance heuristic, Veach 1997).
 """
 
 import math
@@ -22,32 +22,32 @@ LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 @wp.struct
 class Sky:
-    """A sky in latitude and longitude, the top row around +y, the middle column towards −z."""
+    """Sky by latitude and longitude: the top row is around +y, the middle column is towards −z."""
 
-    powers: wp.array2d(dtype=wp.vec3f)  # per solid angle, by spectrum
-    turn: wp.float32  # angle that the sky is turned by about +y, of a whole turn
-    whites: wp.mat33f  # colours that a white pigment sends back under each spectrum, linear RGB in rows
+    powers: wp.array2d(dtype=wp.vec3f)  # power per solid angle, one component per spectrum
+    turn: wp.float32  # rotation of the sky about +y, as a share of a whole turn
+    whites: wp.mat33f  # colours of a white pigment under each spectrum, linear RGB in rows
 
 
 @wp.struct
 class SkyDistribution:
-    """Distribution of directions: rings of (u, v), each with its azimuth samples, and blocks of the sky."""
+    """Distributions of directions: over (u, v), as rings with azimuth samples, and over blocks of the sky."""
 
-    ring_cdf: wp.array(dtype=wp.float32)
-    starts: wp.array(dtype=wp.int32)  # of each ring the first azimuth sample; the last entry is their number
-    spoke_cdf: wp.array(dtype=wp.float32)  # within the ring
-    densities: wp.array(dtype=wp.float32)  # per ln|(u, v)| and radian; of the first ring, a disc, per area
+    ring_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rings
+    starts: wp.array(dtype=wp.int32)  # first azimuth sample of each ring; the last entry is the total number
+    spoke_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the azimuth samples within their ring
+    densities: wp.array(dtype=wp.float32)  # densities per ln|(u, v)| and radian; in the first ring, a disc, per area
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc
-    per_log: wp.float32  # rings
-    row_cdf: wp.array(dtype=wp.float32)  # of blocks
-    column_cdf: wp.array2d(dtype=wp.float32)  # within the row
-    block_densities: wp.array2d(dtype=wp.float32)  # per solid angle
-    sky_share: wp.float32  # of samples that are drawn from blocks
+    per_log: wp.float32  # rings per unit of ln|(u, v)|
+    row_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rows of blocks
+    column_cdf: wp.array2d(dtype=wp.float32)  # cumulative shares of the blocks within their row
+    block_densities: wp.array2d(dtype=wp.float32)  # densities of the blocks per solid angle
+    sky_share: wp.float32  # share of the samples that are drawn from blocks
 
 
 @wp.func
 def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, value: wp.float32) -> wp.int32:
-    """The first index whose cumulative share exceeds a value, or the last one."""
+    """Return the first index whose cumulative share exceeds a value, or the last index."""
     low = begin
     high = end - 1
     while low < high:
@@ -61,7 +61,7 @@ def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
-    """Where in its step a value lies, 0 to 1."""
+    """Return the position of a value within a step of a cumulative distribution, 0 to 1."""
     before = wp.float32(0.0)
     if index > begin:
         before = cdf[index - 1]
@@ -70,7 +70,7 @@ def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int3
 
 @wp.func
 def draw_uv(table: SkyDistribution, point: wp.vec2f) -> wp.vec2f:
-    """Draw a point of (u, v), in proportion to the light that the surface scatters there."""
+    """Draw a point (u, v) with a density proportional to the light that the surface scatters there."""
     ring = find_step(table.ring_cdf, 0, table.ring_cdf.shape[0], point[0])
     t = within_step(table.ring_cdf, 0, ring, point[0])
     radius = wp.exp(table.least_log + (wp.float32(ring - 1) + t) / table.per_log)
@@ -86,7 +86,7 @@ def draw_uv(table: SkyDistribution, point: wp.vec2f) -> wp.vec2f:
 
 @wp.func
 def density_of_uv(table: SkyDistribution, uv: wp.vec2f) -> wp.float32:
-    """The density of :func:`draw_uv`, per area."""
+    """Return the density of :func:`draw_uv` at a point, per area of (u, v)."""
     radius2 = wp.max(wp.length_sq(uv), 1.0e-20)
     place = (0.5 * wp.log(radius2) - table.least_log) * table.per_log
     ring = wp.int32(0)
@@ -107,7 +107,7 @@ def density_of_uv(table: SkyDistribution, uv: wp.vec2f) -> wp.float32:
 
 @wp.func
 def place_in_sky(sky: Sky, along: wp.vec3f) -> wp.vec2f:
-    """Where a direction lies from left to right and from top to bottom, 0 to 1."""
+    """Return the position of a direction in the sky, from left to right and from top to bottom, 0 to 1."""
     azimuth = wp.static(0.5 / math.pi) * wp.atan2(along[0], -along[2]) + 0.5 + sky.turn
     polar = wp.atan2(wp.sqrt(along[0] * along[0] + along[2] * along[2]), along[1])
     return wp.vec2f(azimuth - wp.floor(azimuth), wp.static(1.0 / math.pi) * polar)
@@ -115,7 +115,7 @@ def place_in_sky(sky: Sky, along: wp.vec3f) -> wp.vec2f:
 
 @wp.func
 def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
-    """Return the radiance at a place of the sky, linear between the centres of its cells."""
+    """Return the power per solid angle at a position in the sky, by bilinear interpolation between cell centres."""
     height = sky.powers.shape[0]
     width = sky.powers.shape[1]
     x = place[0] * wp.float32(width) - 0.5
@@ -133,7 +133,7 @@ def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
 
 @wp.func
 def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3f:
-    """Draw a direction in the world frame, in proportion to the sky's brightness."""
+    """Draw a direction in the world frame with a density proportional to the brightness of the sky's blocks."""
     rows = table.row_cdf.shape[0]
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
@@ -151,7 +151,7 @@ def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3
 
 @wp.func
 def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
-    """The density of :func:`draw_direction` at a place of the sky, per solid angle."""
+    """Return the density of :func:`draw_direction` at a position in the sky, per solid angle."""
     rows = table.block_densities.shape[0]
     columns = table.block_densities.shape[1]
     row = wp.clamp(wp.int32(place[1] * wp.float32(rows)), 0, rows - 1)
@@ -161,7 +161,7 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 
 @wp.func
 def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
-    """The gain of ``light_samples.h``, over the cosine that dω has: dω cos θi is du dv."""
+    """Return the gain, as in ``light_samples.h``, over the light's cosine, for integrals over du dv = dω cos θi."""
     w = light[2] + view[2]
     overlap = 0.5 * (wp.length_sq(uv) + w * w)
     cosine = wp.sqrt(0.5 * overlap)
@@ -183,9 +183,9 @@ def mirror_deflections(
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Scattering vectors of light that comes by way of a mirror, which footprints are found for, and sums of hits.
+    """Compute scattering vectors for light from the mirror direction, which footprints require, and count hits.
 
-    Gains are 1 at hits: a sky has no places that are not lit.
+    Gains are 1 at all hits, because a sky illuminates every point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -214,29 +214,29 @@ def sample_sky(
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Draw one direction of the sky for each ray: its scattering vector, and gains by spectrum; adds the pigment.
+    """Draw one direction of the sky for each ray, compute its scattering vector and gains, and add the pigment's light.
 
     Args:
         sky: The sky.
-        table: The distribution of directions.
-        pixels: Hits.
-        footprints: Footprints of the rays' filters for light by way of a mirror.
+        table: The distributions of directions.
+        pixels: Hits of the rays.
+        footprints: Footprints of the rays' filters for light from the mirror direction.
         lights: The strength of the pigment.
-        reflection: The reflectance.
-        mesh_id: Id of the hierarchy for shadow rays.
+        reflection: Parameters of the reflectance.
+        mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
-        tiles: Pixels whose cells these are, −1 is none; empty are all pixels of the picture.
-        width: Pixels in a row.
-        across: Cells along a side of a pixel.
-        sample: Index of the sample among those of the ray.
-        samples: Number of samples of each ray.
-        first: The first thread's ray.
+        tiles: Pixels whose cells are the rays; −1 is no pixel. Empty stands for one ray per pixel of the picture.
+        width: Number of pixels per row.
+        across: Number of cells along a side of a pixel.
+        sample: Index of the sample among the samples of the ray.
+        samples: Number of samples per ray.
+        first: Index of the first thread's first ray.
         run: Number of rays per thread.
         scattering_vectors_out: (u, v, w).
         to_lights_out: Directions in the local frame.
         gains_out: Gains by spectrum, (3, n); 0 where no light arrives.
-        xyz_out: Sums of colours, to which the pigment is added.
-        illuminated_out: Set where light arrives; an empty array is not written.
+        xyz_out: Sums of colours, to which the pigment's light is added.
+        illuminated_out: True is written where light arrives; an empty array is not written.
     """
     thread, _ = wp.tid()
     pigment = wp.float32(lights.strengths[0][1])
@@ -251,8 +251,8 @@ def sample_sky(
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
         within = filter_point(index)
-        # A place within the filter (Box and Muller), where the normal is turned: (u, v) of light by way of a mirror
-        # moves by 2 cos θ times as much.
+        # Draw a point of the pixel filter (Box and Muller), and turn the normal accordingly. A turn by an angle moves
+        # (u, v) of light from the mirror direction by 2 cos θ times the angle.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)
@@ -287,7 +287,7 @@ def sample_sky(
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:
             continue
-        # dω is du dv over the cosine.
+        # Densities are per area of (u, v). A density per solid angle is divided by the cosine, as dω cos θi = du dv.
         place = place_in_sky(sky, along)
         density = (1.0 - table.sky_share) * density_of_uv(table, uv)
         density += table.sky_share * density_of_direction(table, place) / light[2]

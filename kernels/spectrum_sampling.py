@@ -1,8 +1,8 @@
 """Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
-Azimuths are sampled at rings of equal ratios, each the integral of the spectrum under a quadratic B-spline in ln t,
-t = |(u, v)|/λ. A colour is a sum over one octave's rings, whose weights are the same wherever |(u, v)| takes the same
-ratios: ``colour_lookup`` has the rest.
+Rings are at equal ratios along an azimuth. The value of a ring is the integral of the spectrum under a quadratic
+B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights are the
+same at every radius: see ``colour_lookup``.
 """
 
 import functools
@@ -20,13 +20,13 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 @functools.cache
 def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
-    """The kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
+    """Return the kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
 
     Args:
-        lanes: Terms of a row of coefficients.
-        powers: Whether these are powers, of the averaged form; a row of the table is then a sum of theirs. Otherwise
-            they are amplitudes, of the centred form, and a row of the table holds the power of their sum at some κ.
-        width: Terms of a row of the values.
+        lanes: Number of terms in a row of coefficients.
+        powers: Whether rows are powers, for averaged windows; sampled rows are then sums of rows. Otherwise rows are
+            amplitudes, for centred windows, and a sampled row has the powers of their sum at several κ.
+        width: Number of terms in a sampled row.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
     out_t = wp.types.vector(length=width, dtype=wp.float32)
@@ -41,7 +41,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrals along an azimuth in this direction, in coefficients, from the ring ``begin`` on."""
+        """Integrate the spectrum along one azimuth, for the rings of one octave, into rows from ``begin`` on."""
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
@@ -52,16 +52,16 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         # Out:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrals of the power spectrum along an azimuth under the splines of one octave's rings.
+        """Integrate the power spectrum along azimuths under the splines of one octave's rings.
 
-        The first ring lies at the logarithm ``log_low`` of the frequency, and the row of azimuth 0 at ``start``. The
-        spectrum is sampled ``divisions`` times from ring to ring, up to the frequency ``highest``, without the
-        coefficient ``excluded``. Amplitudes are multiplied by ``bases``, term by term.
+        ``log_low`` is ln of the first ring's frequency, and ``start`` the row of azimuth 0. The spectrum is sampled
+        ``divisions`` times per ring, up to the frequency ``highest``, without the coefficient ``excluded``. Amplitudes
+        are multiplied by ``bases``, term by term.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(rings_per_octave * divisions)
-        # A ring's spline begins one and a half rings before it.
+        # The spline of a ring begins one and a half rings before the ring.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_azimuth(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, rings_per_octave, first_t,
@@ -74,7 +74,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """The kernel that gathers coefficients as lines of a spectrum on azimuths, and the type of its rows."""
+    """Return the kernel that sums coefficients, as lines of a spectrum, on azimuths, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -86,20 +86,20 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
         # Out:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Integrals along an azimuth, under the splines of its rings, of lines that are blurred in angle.
+        """Integrate lines along azimuths under the splines of the rings; lines are blurred in angle.
 
         Args:
-            coefficients: Powers.
+            coefficients: Powers of the lines.
             lines: Indices into ``coefficients``, in the order of the lines' angles.
-            angles: Angles of the lines, from 0 to a turn and a little beyond either end [rad].
-            places: Positions of the lines among the rings, in rings.
+            angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
+            places: Positions of the lines along an azimuth, in rings.
             weights: Weights of the lines.
-            begins: For each azimuth the first line that reaches it.
-            ends: For each azimuth the line after the last one that reaches it.
-            rings: Rings of an azimuth.
-            blur: Standard deviation of the angle.
+            begins: For each azimuth, the first line whose blur reaches it.
+            ends: For each azimuth, one more than the last line whose blur reaches it.
+            rings: Number of rings of an azimuth.
+            blur: Standard deviation of the blur in angle [rad].
             first: The first thread's azimuth.
-            values_out: Integrals, azimuth after azimuth and ring by ring.
+            values_out: Integrals, all rings of an azimuth together.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -123,11 +123,11 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """The kernel that sums rows of ``lanes`` terms over one octave's rings, to coefficients of so many functions."""
+    """Return kernels that project rows of ``lanes`` terms to ``w_basis_size`` functions of w, with their types."""
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths that are summed together. Limit: registers for their sums.
+    # Number of azimuths that are summed together. Limit: their sums must fit in registers.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -139,7 +139,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Rows of a few azimuths from one before one octave on, ``length`` of them for each azimuth."""
+        """Copy rows of a few azimuths, from one ring before the octave on, ``length`` rows for each azimuth."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -150,7 +150,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few azimuths from ``length`` rows each; the first ring begins behind those skipped."""
+        """Compute colours along a few azimuths from ``length`` rows each, after ``skipped`` rows."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
@@ -161,10 +161,11 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
+        """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
 
-        Their red end lies in the same octave of frequencies, which has as many azimuths as the next or half of them,
-        and their blue end in the next and a little beyond. ``sequence`` has room for ``length`` rows of each azimuth.
+        The red end of the spectrum is in the same octave of frequencies, the blue end in the next one or a little
+        beyond. The next octave has equally many azimuths or twice as many. ``sequence`` is memory for ``length`` rows
+        per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -180,9 +181,9 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Colours along a few azimuths that have all ``row_count`` rings, with those that the filter requires.
+        """Compute colours along a few azimuths, each with ``row_count`` rings.
 
-        The filter changes them.
+        The rings include the additional rings that the filter to spline coefficients requires.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count
@@ -196,7 +197,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """The kernel that adds colours of so many functions of w, times a factor for each ring."""
+    """Return the kernel that adds rows of ``w_basis_size`` functions of w, times a factor per ring."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -206,7 +207,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         # Out:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Add the rings of an azimuth, each times its factor, to ``rows_out``, or set these if the sum ``begins``."""
+        """Add the rings of azimuths, each times its factor, to ``rows_out``; ``begins`` overwrites ``rows_out``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

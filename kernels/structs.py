@@ -1,23 +1,23 @@
-"""Structs of kernels: camera, mesh, samples, cells and hits.
+"""Structs of kernels: cameras, meshes, ray positions, subpixel cells and hits.
 
-Positions are in units in which the mesh fills the unit sphere about the origin: there float32 is as fine for a mesh of
-a nanometre as for one of a kilometre, wherever either lies.
+Positions are in units in which the mesh fills the unit sphere around the origin. The relative rounding of float32 is
+then equal for meshes of a nanometre and of a kilometre, at any distance from the world's origin.
 """
 
 import warp as wp
 
-# Change of (u, v) by one standard deviation of the filter, along rows and along columns.
+# Footprint: changes of (u, v) over one standard deviation of the filter, first along rows and then along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Value of ``hit`` of a pixel whose shading frame is not computed yet.
+# Value of ``hit`` for a pixel whose shading frame is not computed yet.
 SPECIAL = wp.constant(2)
 
 
 @wp.struct
 class Camera:
-    """A view. The fields are those of ``warpdiff.scene.camera.ViewFrame``, in the surface's units."""
+    """Camera of a view: the fields of ``warpdiff.scene.camera.ViewFrame`` in the surface's units."""
 
-    # Origin, right, up, back, half the width and height: in an array, so that a recorded picture finds the next ones.
-    # An array of structs would take half a second longer to compile.
+    # Origin, right, up, back, and half the width and height. An array of these vectors lets a recorded graph be
+    # replayed for new views. An array of structs would take half a second longer to compile.
     axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool
     width: wp.int32
@@ -26,25 +26,25 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Where rays lie: in pixels' centres or as offsets say; or cells of some pixels."""
+    """Positions of rays: pixel centres, one offset per pixel, or all cells of some pixels."""
 
-    tiles: wp.array(dtype=wp.int32)  # pixels whose cells these are, one after the other, −1 is none; empty is off
-    places: wp.array(dtype=wp.vec2d)  # where a pixel's cells lie, (right, down) of the centre [pixels]; or empty
-    offsets: wp.array(dtype=wp.vec2d)  # where a sample of each pixel lies, as ``places``; or empty
+    tiles: wp.array(dtype=wp.int32)  # pixels whose cells are the rays, −1 is no pixel; empty without cells
+    places: wp.array(dtype=wp.vec2d)  # positions of a pixel's cells, (right, down) of the centre [pixels]; or empty
+    offsets: wp.array(dtype=wp.vec2d)  # position of one sample in each pixel, as ``places``; or empty
 
 
 @wp.struct
 class Cells:
-    """Pixels that are split into as many cells each, and where their rays come."""
+    """Set of pixels that are divided into cells, for rasterization; every pixel has the same number of cells."""
 
-    marks: wp.array(dtype=wp.uint64)  # which pixels these are: a bit each, rows begin with words of 64
-    ranks: wp.array(dtype=wp.int32)  # of each pixel of the picture: its place among those that are split
-    across: wp.int32  # cells along a side of a pixel
+    marks: wp.array(dtype=wp.uint64)  # one bit per pixel of the picture; each row begins with a new 64-bit word
+    ranks: wp.array(dtype=wp.int32)  # for each pixel of the picture, its index in the set
+    across: wp.int32  # number of cells along a side of a pixel
 
 
 @wp.struct
 class SurfaceArrays:
-    """A mesh with what is interpolated on it. The fields are those of ``warpdiff.scene.mesh_import.Surface``."""
+    """Mesh with the attributes that are interpolated: the fields of ``warpdiff.scene.mesh_import.Surface``."""
 
     mesh_id: wp.uint64
     positions: wp.array(dtype=wp.vec3f)
@@ -61,15 +61,15 @@ class SurfaceArrays:
 
 @wp.struct
 class Pixels:
-    """Hits and shading frames, one entry a pixel. Kernels whose arrays lie in structs compile a third faster."""
+    """Hits and shading frames, one entry per pixel. Kernels with arrays in structs compile a third faster."""
 
-    nearest: wp.array(dtype=wp.uint64)  # what ``rasterize`` or ``trace_bvh`` found of these rays
-    hit: wp.array(dtype=wp.int32)  # 1 where the mesh is met, else 0; all but the face is then of no account
-    face: wp.array(dtype=wp.int32)  # the face that is met, or −1
-    place: wp.array(dtype=wp.vec2f)  # where on it: the shares of its first and second corner
-    tangent: wp.array(dtype=wp.vec3f)  # t, unit
-    bitangent: wp.array(dtype=wp.vec3f)  # b, unit
-    normal: wp.array(dtype=wp.vec3f)  # the shading normal n, unit, n·ωr >= 0.01
-    to_view: wp.array(dtype=wp.vec3f)  # ωr, unit
-    shadow_origin: wp.array(dtype=wp.vec3f)  # where shadow rays start
-    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty is not asked for
+    nearest: wp.array(dtype=wp.uint64)  # nearest face of each ray, from ``rasterize`` or ``trace_bvh``
+    hit: wp.array(dtype=wp.int32)  # 1 where the ray hits the mesh, else 0; other fields but ``face`` are then undefined
+    face: wp.array(dtype=wp.int32)  # index of the face that is hit, or −1
+    place: wp.array(dtype=wp.vec2f)  # barycentric coordinates of the face's first and second corner
+    tangent: wp.array(dtype=wp.vec3f)  # t, unit vector
+    bitangent: wp.array(dtype=wp.vec3f)  # b, unit vector
+    normal: wp.array(dtype=wp.vec3f)  # shading normal n, unit vector, n·ωr >= 0.01
+    to_view: wp.array(dtype=wp.vec3f)  # ωr, unit vector to the viewer
+    shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
+    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty without a pigment

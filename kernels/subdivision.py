@@ -1,4 +1,4 @@
-"""Adaptive subdivision: errors of pixels, splatting of cells, and selection of pixels for the next level."""
+"""Adaptive subdivision: error estimates of pixels, splatting of cells to pixels, and selection of levels."""
 
 import warp as wp
 
@@ -6,11 +6,11 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels: those that are subdivided, and those that use the cells which pixels around them require; 0 keeps its
-# own ray.
+# Marks of pixels: ``ACTIVE`` pixels are subdivided, ``SHARED`` pixels use the cells of their neighbours. A pixel with
+# mark 0 has the colour of one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
-# Bits of what the cells of a tile show, as kernels/native/cell_splats.h has them.
+# Bits for the cells of a tile, as in kernels/native/cell_splats.h: any is illuminated, any is dark, any hits nothing.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
@@ -34,14 +34,15 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the assumed ratio of a pixel's error to its contrast, from the change of (u, v) to its neighbours."""
+    """Return the expected ratio of a pixel's error to its contrast, from changes of (u, v) to the neighbours."""
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)
     below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # By how much changes along rows, columns and aslant are not those before, relative to the larger one.
+    # Second differences along rows, columns and diagonals measure how uneven the changes of (u, v) are, relative
+    # to the larger first difference.
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
@@ -70,24 +71,24 @@ def estimate_errors(
     # Out:
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Estimated errors of pixels of one ray each, ‖ΔXYZ‖, and which of them are to be split.
+    """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
 
-    Pixels that do not hit the mesh are black, with no difference from their neighbours.
+    Pixels that do not hit the mesh are black, and do not contribute to the contrast of their neighbours.
 
     Args:
         colours: Colours of the pixels, in whole rows.
         scattering_vectors: Scattering vectors of the pixels, (u, v, w).
         hit: Whether the pixels hit the mesh.
-        width: Pixels in a row.
-        floor: Luminance that errors are relative to at least.
-        bound: Of errors relative to the colour, or to the floor, from which pixels are split; below 0, all are that
-            meet the mesh or are next to it.
-        all_pixels: Whether all are split, also where only cells may meet the mesh.
-        subdivides_silhouettes: Whether pixels at the silhouette of the mesh are.
-        first: The first thread's pixel.
-        run: How many a thread takes.
-        errors_out: 0 where nothing is met.
-        marks_out: 1 for those to be split, otherwise 0.
+        width: Number of pixels per row.
+        floor: Least luminance that errors are relative to.
+        bound: Error relative to the colour, or to the floor, above which pixels are subdivided. Below 0, all pixels at
+            the mesh or next to it are subdivided.
+        all_pixels: Whether all pixels are subdivided, also where only cells may hit the mesh.
+        subdivides_silhouettes: Whether pixels at silhouettes of the mesh are subdivided.
+        first: Index of the first thread's first pixel.
+        run: Number of pixels per thread.
+        errors_out: Estimated errors; 0 where a pixel does not hit the mesh.
+        marks_out: ``ACTIVE`` for pixels to subdivide, otherwise 0.
     """
     thread, _ = wp.tid()
     height = hit.shape[0] // width
@@ -119,7 +120,7 @@ def estimate_errors(
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
-            # A pixel without neighbours is estimated by its own colour.
+            # Without neighbours that hit the mesh, the contrast is the pixel's own colour.
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:
@@ -143,7 +144,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Splat the cells of the pixels of one thread."""
+    """Splat the cells of one thread's pixels."""
 
 
 @wp.kernel
@@ -157,27 +158,27 @@ def splat_cells(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Splat the cells of pixels through the filter: what they add to these pixels and to the eight around each.
+    """Splat the cells of pixels: add their filtered colours to the pixel and to the eight pixels around it.
 
     Args:
         colours: Colours of the cells, pixel after pixel and row by row.
         hit: Whether the cells hit the mesh.
-        pixels: The pixels; −1 is none.
+        pixels: The pixels; −1 is no pixel.
         colours_before: Colours of the picture: by one ray per pixel, or resolved by an earlier group of tiles.
-        ranks: By pixel of the picture, its index in the outputs; empty is its own number.
+        ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
         weights: Weights of cells along one axis for the middle one of three pixels, (3 · 2ⁿ,).
         level: The level n of the cells.
-        is_base: Whether this level comes first, and shows what others would change.
-        is_sampled: Whether the cells are samples, whose scatter shows that.
-        first: The first thread's index among ``pixels``.
+        is_base: Whether this is the base level, from whose cells the final level is selected.
+        is_sampled: Whether each cell draws a direction to the light. The scatter then decides about the final level.
+        first: Index of the first thread's first entry in ``pixels``.
         run: Number of pixels per thread.
         filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
-            that lies 1 − i rows below and 1 − j columns to the right.
-        quadrants_out: Mean colours of the quadrants, row by row, (n, 4), of the base level; cells that hit nothing are
-            black.
-        changes_out: Differences of the means from the colours before, ‖ΔXYZ‖, of the base level; of samples, standard
-            deviations of the means at any level.
-        levels_out: Set to ``level``.
+            that is 1 − i rows below and 1 − j columns to the right.
+        quadrants_out: Mean colours of the quadrants, row by row, (n, 4), at the base level; cells that hit nothing
+            count as black.
+        changes_out: Differences ‖ΔXYZ‖ between the means and ``colours_before``, at the base level; for samples,
+            standard deviations of the means at any level.
+        levels_out: The level of each tile, set to ``level``.
         lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
@@ -190,23 +191,23 @@ def splat_cells(
 
 @wp.struct
 class FilteredSums:
-    """Sums over the cells of tiles, written by ``splat_cells``; quadrants and changes at the base level only."""
+    """Sums over the cells of tiles, from ``splat_cells``; quadrants and changes are from the base level."""
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # From ``splat_cells``, changes from the colours before; from ``select_levels`` on, estimated errors of 2 × 2 cells.
-    # Of samples, standard deviations of means.
+    # After ``splat_cells``: differences between the means of the cells and the colours by one ray. After
+    # ``select_levels``: estimated errors of 2 × 2 cells. For random samples: standard deviations of the means.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # By level: the share of the filter in each of three pixels over the sum of the cells' weights there.
+    # For each level, the filter's share in each of three pixels over the sum of the cells' weights in that pixel.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
 @wp.func
 def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
-    """Return the index of a pixel of the picture in the sums."""
+    """Return the index in the sums for a pixel of the picture."""
     result = pixel
     if ranks.shape[0] > 0:
         result = ranks[pixel]
@@ -218,7 +219,7 @@ def quadrant_at(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """The colour of a quadrant by its row and column in the picture, and 1; zeros where its tile has no level."""
+    """Return the colour of a quadrant, by row and column in the picture, and 1; zeros if its tile has no level."""
     result = wp.vec4f()
     if row >= 0 and row < 2 * height and column >= 0 and column < 2 * width:
         pixel = (row // 2) * width + column // 2
@@ -230,7 +231,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """The square of the second difference of colours in a row; 0 if one of them is missing."""
+    """Return the squared second difference of three colours in a row; 0 if one of them is missing."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
@@ -244,32 +245,33 @@ def select_levels(
     # Out:
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Predict by second differences what finer cells would change, and select the level of each tile at once.
+    """Predict how finer cells would change the colours, from second differences, and select the level of each tile.
 
     Args:
-        sums: What the cells of the base level give.
-        tiles: The tiles; empty is all pixels of the picture that have a level.
-        marks: Which pixels of the picture use cells.
-        colours: Colours of the picture by the cells of the base level.
-        width: Pixels in a row.
-        height: Rows.
-        floor: Luminance that errors are relative to at least.
-        tolerance: Error relative to the colour, or to the floor, that pixels may have.
+        sums: Sums over the cells of the base level.
+        tiles: The tiles; empty stands for all pixels of the picture that have a level.
+        marks: Marks of the pixels that use cells.
+        colours: Colours of the picture from the cells of the base level.
+        width: Number of pixels per row.
+        height: Number of rows.
+        floor: Least luminance that errors are relative to.
+        tolerance: Largest error of a pixel, relative to its colour or to the floor.
         base: The base level.
         most: The finest level.
-        silhouette_level: Least level of tiles at the mesh's silhouette.
-        first: The first thread's index among ``tiles``.
+        silhouette_level: Least level of tiles at silhouettes of the mesh.
+        first: Index of the first thread's first entry in ``tiles``.
         run: Number of tiles per thread.
-        changes_out: Before, differences of tiles' means from the colours by one ray; after, estimated errors of 2 × 2
-            cells, ‖ΔXYZ‖.
-        levels_out: By pixel of the picture, the level of its tile; 0 is no tile, before and after.
+        changes_out: On input, differences of tiles' means from the colours by one ray. On output, estimated errors
+            ‖ΔXYZ‖ of 2 × 2 cells.
+        levels_out: For each pixel of the picture, the level of its tile; 0 is no tile, and remains 0.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have set a neighbour's level already: levels are only compared with 0, and none becomes 0.
+        # Other threads may have set a neighbour's level already. Levels are only compared with 0, and a 0 never
+        # changes.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
@@ -288,7 +290,7 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x - 1, width, height), own,
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
-        # The root mean square over the quadrants, for the distance of whole pixels.
+        # The second difference is the root mean square over the quadrants, scaled to the distance of whole pixels.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -308,8 +310,8 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # Levels are selected as if errors fell with the square of the number of cells along an axis; ERROR_ORDER of
-        # the estimated errors is a more careful fit. The nearest level in log2 is taken.
+        # Here errors are assumed to fall with the square of the number of cells along an axis. ERROR_ORDER, for
+        # reported errors, is more cautious. The level is rounded to the nearest whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
@@ -326,9 +328,9 @@ def raise_levels(
     # Out:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Select the levels at which the scatter of samples falls to the tolerance, of the tiles of one level.
+    """Raise the levels of tiles at one level until the scatter of their samples is expected to meet the tolerance.
 
-    The arguments are those of :func:`select_levels`; ``colours`` are those by all cells so far.
+    The arguments are those of :func:`select_levels`; ``colours`` are from all cells up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -350,11 +352,11 @@ def raise_levels(
                     need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
                 if levels_out[there] != wp.uint8(0):
                     rank = compact_index(sums.ranks, there)
-                    # Other threads raise levels; those of the sums stay.
+                    # Other threads may change ``levels_out`` now. The levels of the sums are constant.
                     if sums.levels[rank] == wp.uint8(level):
                         square += share * sums.changes[rank] * sums.changes[rank]
                         count += share
-        # The mean of neighbours: few samples seldom hold the brightest ones.
+        # The scatter is a mean over nine tiles, as the few samples of one tile rarely include the brightest directions.
         scatter = wp.sqrt(square / wp.max(count, TINY))
         excess = SCATTER_FACTOR * need * scatter / tolerance
         steps = wp.int32(wp.floor(wp.log2(wp.max(excess, 1.0)) + 0.5))
@@ -371,24 +373,24 @@ def resolve_pixels(
     coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
     illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Set pixels to what the cells of their nine tiles give, and estimate their errors.
+    """Set pixels to weighted sums over the cells of their nine tiles, and estimate their errors.
 
     Args:
-        sums: What the cells give.
-        pixels: The pixels that use cells; empty is all of the picture that are marked.
-        marks: Which pixels of the picture use cells.
-        width: Pixels in a row.
-        height: Rows.
-        error_order: Power of the number of cells along an axis by which errors fall from those of 2 × 2 cells.
+        sums: Sums over the cells of the tiles.
+        pixels: The pixels that use cells; empty stands for all marked pixels of the picture.
+        marks: Marks of the pixels that use cells.
+        width: Number of pixels per row.
+        height: Number of rows.
+        error_order: Errors of 2 × 2 cells fall with this power of the number of cells along an axis.
         error_factor: Estimated errors over the root sum of squares over the nine tiles.
-        first: The first thread's index among ``pixels``.
+        first: Index of the first thread's first entry in ``pixels``.
         run: Number of pixels per thread.
         colours_out: Colours times coverage.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Shares of cells that hit the mesh, of the light with the finest cells.
-        coverage_levels_out: Sum of the levels of its nine tiles.
+        coverage_out: Shares of cells that hit the mesh, under the light with the finest cells.
+        coverage_levels_out: Sum of the levels of the nine tiles.
         illuminated_out: Set where any cell has a colour.
-        edges_out: Set where an edge of the mesh or of what is lit passes through what has a colour.
+        edges_out: Set where an edge of the mesh or of a shadow passes through an illuminated pixel.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -399,8 +401,8 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If all tiles have the same level, one weighted sum over their cells (``together``) is closer to the filter.
-        # If levels differ, each tile counts by its exact share of the filter (``apart``), which avoids visible steps.
+        # If the nine tiles have the same level, one weighted sum over all their cells (``together``) is closer to the
+        # pixel filter. Otherwise each tile has its exact share of the filter (``apart``), which avoids visible steps.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)
@@ -425,7 +427,7 @@ def resolve_pixels(
                 weight_apart += share
                 error = share * sums.changes[there] * wp.pow(0.5, error_order * wp.float32(level - 1))
                 square += error * error
-        # The filter may reach beyond the picture.
+        # Near the edge of the picture, fewer than nine tiles exist, so that the sum is normalised.
         total = together / weight_together
         if least != most:
             total = apart / weight_apart
@@ -433,7 +435,7 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = error_factor * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
-        # Whatever the order of lights is, the finest cells count, and then the larger coverage.
+        # Coverage must not depend on the order of lights: the finest cells are used, and then the larger coverage.
         coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
         before = wp.int32(coverage_levels_out[pixel])
         if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):
@@ -452,7 +454,7 @@ def accumulate(
     # Out:
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add a light's colours, their errors and the pixels it reaches to those of other lights."""
+    """Add the colours, errors and illuminated pixels of one light to the sums over lights."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

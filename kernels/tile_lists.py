@@ -1,4 +1,4 @@
-"""Tile lists: pixels to subdivide, listed and counted on the device."""
+"""Tile lists: pixels to subdivide, listed and counted on the device without the host."""
 
 import warp as wp
 
@@ -8,8 +8,8 @@ from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Luminances are distinguished by the bits of their float32 above this position: sign, exponent, and seven bits of the
-# fraction, a 128th. Groups of these bins are counted, too, so that one thread finds a bin among them.
+# Bins of the histogram of luminances. A bin is a luminance's float32 bits above position ``BELOW``: sign, exponent and
+# seven bits of the fraction. Groups of bins are counted, too, so that one thread can search the bins in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
@@ -25,7 +25,7 @@ def luminance_histogram(
     # Out:
     histogram_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """How often luminances occur among the pixels that are lit: by groups, and then by bins."""
+    """Count illuminated pixels by luminance, in groups of bins and in bins."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if illuminated[i]:
             luminance = wp.max(colours[i][1], wp.float32(0.0))
@@ -41,7 +41,7 @@ def luminance_floor(
     # Out:
     floor_out: wp.array(dtype=wp.float32),
 ):
-    """Find the picture's floor, by one thread."""
+    """Compute the floor of a picture's relative errors from the histogram, by one thread."""
     total = wp.int32(0)
     for k in range(GROUPS):
         total += histogram[k]
@@ -54,7 +54,7 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The floor is the luminance in the middle of the bin.
+    # The luminance in the middle of a bin represents the bin.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
@@ -68,7 +68,7 @@ def count_marks(
     # Out:
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Add how many pixels are marked."""
+    """Count the marked pixels."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
             atomic_increment(counts_out, 0)
@@ -82,13 +82,13 @@ def running_max(
     # Out:
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Keep the larger of a count and of the one before, if there is one."""
+    """Set the output to a count if ``begins``, otherwise to the larger of the count and the previous output."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
 @wp.func
 def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int32, height: wp.int32) -> wp.vec2ub:
-    """The least and the largest mark of a pixel and those around it."""
+    """Return the least and the largest mark of a pixel and its eight neighbours."""
     column = pixel % width
     row = pixel // width
     least = marks[pixel]
@@ -108,7 +108,7 @@ def dilate_marks(
     # Out:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Give a level to the pixels that are marked and to those around them, and 0 to others."""
+    """Set a level for marked pixels and their eight neighbours, and 0 for all other pixels."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         is_near = marks_around(marks, i, width, height)[1] != wp.uint8(0)
         levels_out[i] = wp.where(is_near, level, wp.uint8(0))
@@ -121,7 +121,7 @@ def mark_shared(
     # Out:
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark the pixels without a mark whose own tile and those around all have a level: they use these cells."""
+    """Mark unmarked pixels as ``SHARED`` if their own tile and the eight tiles around it have cells."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -134,7 +134,7 @@ def compact_level(
     # Out:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels of a level, in any order: tiles do not depend on each other."""
+    """List the pixels of a level, in arbitrary order, as tiles do not depend on each other."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if levels[i] == level:
             pixels_out[atomic_increment(counts_out, 0)] = i
@@ -148,7 +148,7 @@ def copy_batch(
     # Out:
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """The next pixels of a list, and −1 where there are no more."""
+    """Copy the next pixels of a list to a batch; remaining entries of the batch are −1."""
     for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         place = copied[0] + k
         pixels_out[k] = -1
@@ -165,7 +165,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Count the copied pixels, and report whether any remain."""
+    """Add to the number of copied pixels, and report whether any pixels remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-# Limit on the number of threads that compile or load kernels. Each additional thread first reads Warp's headers, which
-# takes seconds.
+# Largest number of threads that compile or load kernels. Limit: each additional thread first reads Warp's headers,
+# which takes seconds.
 _LOADERS = 2
 _loading: dict[wp.Module, Future[None]] = {}
-# Limit on the time that a fork waits for kernels that are being compiled or loaded [s]. After it, the child process
-# refuses to run kernels.
+# Longest time that a fork waits for kernels that are being compiled or loaded [s]. Limit: a fork must not block for
+# long. If the time is too short, the child process refuses to run kernels.
 _MOST_WAIT_S = 1.0
 
 
 def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # By default Warp prints a banner and a line per module.
+    # By default Warp prints a banner and a line per module, which are disabled here.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
@@ -51,7 +51,7 @@ def resolve_device(device: str | wp.Device | None) -> wp.Device:
 
 @functools.cache
 def _start(*, asks_for_cuda: bool) -> None:
-    """Start Warp, which does nothing if it has started."""
+    """Initialise Warp; later calls do nothing."""
     try:
         with contextlib.nullcontext() if asks_for_cuda else _without_driver_warning():
             wp.init()
@@ -61,13 +61,13 @@ def _start(*, asks_for_cuda: bool) -> None:
 
 @contextlib.contextmanager
 def _without_driver_warning() -> Iterator[None]:
-    """Keep back Warp's warning that there is no CUDA driver.
+    """Suppress Warp's warning that no CUDA driver exists.
 
-    Warp's library writes it to the standard error of the process, without an option. All other lines are passed on.
+    Warp's library writes the warning to standard error and has no option for it. All other lines are passed on.
     """
     try:
         stderr = os.dup(2)
-    except OSError:  # closed
+    except OSError:  # standard error is closed
         yield
         return
     with tempfile.TemporaryFile() as lines:
@@ -142,12 +142,12 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Work of other threads at the moment when this process was forked; it never finishes in this process.
+# Unfinished work of other threads when this process was forked; this work never finishes in this process.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Raise an error if this process would wait for work that never finishes."""
+    """Raise an error if this process was forked during work of another thread, for which it would wait for ever."""
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
 
@@ -155,7 +155,7 @@ def _refuse_cut_off() -> None:
 def codegen_lock() -> threading.Lock | None:
     """Return the lock that Warp uses while it parses kernels, or None if Warp is not imported or has no such lock.
 
-    The lock is undocumented. A process that was forked while another thread parsed kernels would wait for ever.
+    The lock is undocumented. A process that is forked while another thread parses kernels would wait for it for ever.
     """
     lock = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
@@ -163,18 +163,18 @@ def codegen_lock() -> threading.Lock | None:
 
 # Warp's lock, acquired around a fork.
 _acquired: list[threading.Lock] = []
-# Futures for the child process, of the modules that were loaded before the fork. They are new objects, because another
-# thread may have locked the original ones.
+# Futures for the child process, of the modules that were loaded before the fork. The futures are new objects,
+# because another thread may have locked the original ones.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
 def _before_fork() -> None:
-    """Wait up to a second for kernels that are being compiled or loaded."""
+    """Wait up to ``_MOST_WAIT_S`` for kernels that are being compiled or loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # The exception is None if loading succeeded; the future is then done, without a result.
+            # If loading succeeded, the exception is None, and the new future is done without a result.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -201,7 +201,8 @@ def _in_child() -> None:
         lock.release()
 
 
-# Functions that are registered last run first: imports finish, no further load starts, and running loads finish.
+# At a fork, functions that are registered last run first. In this order, imports finish, no further load starts, and
+# running loads finish.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU, so many that the launches are cheap compared with the elements.
+# Default number of elements per slice on the CPU. Choice: with fewer, launches take a larger share of the time.
 ELEMENTS_OF_SLICE = 512
-# Limits on the slices that a thread takes at once: their number of elements, and turns per thread over all elements.
-# Between turns a thread checks for an interrupt and reports progress.
+# Largest number of elements per turn of a thread, which may have several slices, and least number of turns per thread.
+# Limit: a thread checks for interrupts and reports progress only between turns.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
@@ -30,11 +30,11 @@ class KernelCall:
     Attributes:
         kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
         inputs: Inputs before ``first``.
-        outputs: Arrays that it writes.
+        outputs: Arrays that the kernel writes.
         in_runs: Whether the kernel has another input ``run`` after ``first``, the number of indices per thread. On the
             CPU a thread then reads its arguments once per slice instead of once per index; some kernels have a kilobyte
             of them.
-        block: Number of elements per index.
+        block: Number of elements per index of the kernel.
         free: Recorded launches that no thread is using.
     """
 
@@ -51,7 +51,7 @@ class KernelCall:
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
     def arguments(self, first: int, run: int) -> list[Any]:
-        """Return all inputs for threads from the index ``first`` on."""
+        """Return all inputs of a launch whose first thread has the index ``first``."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
@@ -63,7 +63,7 @@ class KernelCall:
 
 
 class _Recorded:
-    """Recorded launch of a kernel call, which one thread at a time can use."""
+    """Recorded launch of a kernel call, for use by one thread at a time."""
 
     def __init__(self, step: KernelCall) -> None:
         self._block, self._in_runs, self._first = step.block, step.in_runs, len(step.inputs)
@@ -85,7 +85,7 @@ class Pipeline:
     """Sequence of kernel calls on the CPU."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
-        """Wait until the kernels are compiled."""
+        """Make a pipeline, and wait until its kernels are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
         self._steps = steps
 
@@ -94,7 +94,7 @@ class Pipeline:
         self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_once: int) -> Callable[[], None]:
-        """Return a function that launches the kernels over the next ``at_once`` slices, on any thread."""
+        """Return a function for any thread that launches the kernels over the next ``at_once`` slices of ``size``."""
         begins, lock = iter(elements[::size]), threading.Lock()
 
         def take() -> None:
@@ -144,13 +144,13 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # The surplus calls let fast threads take slices that a slow thread has not started.
+        # More calls than necessary let fast threads take slices that a slow thread has not started.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return
     for step in steps if indices else ():
         step.launch(indices, device)
     if progress is not None:
-        # Without progress the launches stay queued, and a read of their results waits for them.
+        # Without a progress callable, launches remain queued, and reading their results waits for them.
         wp.synchronize_device(device)
         progress(1.0)

@@ -1,7 +1,7 @@
-"""Lights and their parts: what the file of each kind of light provides before any kernel runs.
+"""Base classes of lights and of their parts, which describe a light before any kernel runs.
 
-A public light makes parts, and a part makes a pass (``light_pass``), which fills and reads arrays of one picture.
-Pictures refine pixels under one part after the other, as refinement needs the colours of that part alone.
+A public light makes parts, and each part makes a pass (``light_pass``). The pass fills and reads the arrays of one
+picture. Pixels are refined under one part after the other, as refinement requires the colours of that part alone.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Limit of powers: squares of colours are float32.
+# Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
-# Samples of the pixels' own rays under a disc, where no cells follow.
+# Number of samples per pixel of a wide disc light in pictures with ``refine=False``. Limit: time is proportional to it.
 DISC_SAMPLES = 128
 
 
@@ -38,7 +38,7 @@ class Light(ABC):
 
         Args:
             coherence: Coherence of the picture, whose window blurs the light.
-            single_lobe: Whether a light that one lobe can approximate becomes one.
+            single_lobe: Whether a light that one lobe can approximate becomes one lobe.
             name: The argument that holds this light, for messages.
 
         Raises:
@@ -50,10 +50,11 @@ class LightPart(ABC):
     """Part of a light that pictures render separately.
 
     Attributes:
-        spectra: The illuminants that it consists of.
-        has_lobes: Whether it consists of lobes, whose directions a plan is for; otherwise a plan is for the hemisphere.
+        spectra: The illuminants of the part.
+        has_lobes: Whether the part consists of lobes. If so, a plan serves the directions of the lobes, otherwise the
+            whole hemisphere.
         has_extent: Whether light arrives from more than one direction, which requires footprints.
-        sample_count: Number of lobes or directions that represent it.
+        sample_count: Number of lobes or of sampled directions that represent the part.
     """
 
     spectra: tuple[str | Spectrum, ...]
@@ -68,16 +69,16 @@ class LightPart(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Lobe:
-    """Lobe of a light: a Gaussian of directions, or one direction.
+    """Lobe of a light: a Gaussian distribution of directions, or a single direction.
 
     Attributes:
-        to_light: Unit vector towards it, world frame.
-        illuminant: Its illuminant.
-        power: Its linear factor.
-        deviations: Standard deviations of its directions [radians] along two vectors orthogonal to it, shape (2, 3),
-            world frame; None is a single direction.
-        position: Position, world frame, from which the power falls off by the square of the distance; ``to_light`` is
-            then ignored. None is infinitely far away.
+        to_light: Unit vector towards the light, world frame.
+        illuminant: Illuminant of the lobe.
+        power: Linear factor of the illuminant.
+        deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
+            (2, 3), world frame; None is a single direction.
+        position: Position of a point light, world frame. The power falls off with the square of the distance, and
+            ``to_light`` is ignored. None is infinitely far away.
     """
 
     to_light: tuple[float, float, float]
@@ -89,7 +90,7 @@ class Lobe:
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Lobes, which are refined together: directional lights, small discs, point lights and suns.
+    """Set of lobes that are refined together: directional lights, small discs, point lights and suns.
 
     Attributes:
         lobes: The lobes.
@@ -99,15 +100,15 @@ class LobeSet(LightPart):
     has_lobes = True
 
     def __post_init__(self) -> None:
-        # Frozen: these follow from the lobes.
+        # The dataclass is frozen, so that these attributes are computed from the lobes and set here.
         vars(self).update(
             spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
             has_extent=any(lobe.deviations is not None for lobe in self.lobes),
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of lobes."""
-        # Lights are described, as for the command line's help, without loading Warp.
+        """Return the pass that samples the lobes."""
+        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -115,15 +116,15 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class DiscPart(LobeSet):
-    """A disc light whose directions are sampled; its only lobe has the mean and the variance of the disc."""
+    """Disc light with sampled directions; its only lobe has the mean and the variance of the disc."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         vars(self).update(sample_count=DISC_SAMPLES)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of a disc."""
-        # Lights are described, as for the command line's help, without loading Warp.
+        """Return the pass that samples the disc."""
+        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)
@@ -136,10 +137,10 @@ class LobeLight(Light):
 
     @abstractmethod
     def lobe(self) -> Lobe:
-        """Return the light as one lobe, whose mean and variance are those of a disc."""
+        """Return the light as one lobe with the mean direction and the variance of the light."""
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
-        """Return the lobe as a part."""
+        """Return the lobe as the only part of the light."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
         return [LobeSet((self.lobe(),))]
 

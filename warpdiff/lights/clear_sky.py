@@ -1,4 +1,4 @@
-"""Clear skies: luminances of a cloudless sky by the CIE, the sun's disc, and diffuse ground, on all directions."""
+"""Clear skies from formulas: luminance of a cloudless sky (CIE), disc of the sun, and diffuse ground."""
 
 from __future__ import annotations
 
@@ -14,34 +14,35 @@ from warpdiff.optics import colorimetry
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Azimuth of the image's sun from −z towards +x [rad]: the middle of a column.
+# Azimuth of the sun in the image, from −z towards +x [rad]. Derived: the middle of a column of pixels.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
 # CIE standard general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
-# a and b of the gradation, c, d and e of the indicatrix. It is the older clear sky of the CIE but for rounding.
+# a and b are parameters of the gradation; c, d and e are parameters of the indicatrix.
 _A, _B, _C, _D, _E = -1.0, -0.32, 10.0, -3.0, 0.45
-# Illuminances for an altitude h of the sun [klx]: 127.5 exp(−0.21 / sin h) of the sun, normal to its direction, and
-# 0.8 + 15.5 √sin h of the clear sky on the horizontal (IES, Recommended Practice for the Calculation of Daylight
-# Availability, Journal of the IES 13, 1984).
+# Formulas of illuminances [klx] for a sun at the altitude h. The sun has 127.5 exp(−0.21 / sin h), normal to its
+# direction. The clear sky has 0.8 + 15.5 √sin h on the horizontal (IES, Recommended Practice for the Calculation of
+# Daylight Availability, Journal of the IES 13, 1984).
 _SUN_KLX, _EXTINCTION, _SKY_KLX, _SKY_KLX_OF_SINE = 127.5, 0.21, 0.8, 15.5
-# Standard deviation along an axis of a disc of 0.53° [rad].
+# Standard deviation of the sun's directions along one axis [rad]. Derived: the sun is a disc of 0.53° in diameter.
 SUN_DEVIATION = math.radians(0.53) / 4.0
-# Pixels up to this angle share the sun's power [rad]: three rows; the weights of farther ones are below 1e-5.
+# Largest angle between a pixel and the sun at which the pixel gets a share of the sun's power [rad]. Derived: 3.5 rows
+# of the image; pixels farther away would get less than 1e-5 of the power.
 _SUN_REACH = 3.5 * math.pi / ROWS
-# CIE daylight of these colour temperatures: light of a blue sky, and of the sun behind the atmosphere.
+# Colour temperatures of CIE daylight [K]: light of a blue sky, and light of the sun behind the atmosphere.
 _SKY_K, _SUN_K = 15_000.0, 5_500.0
 
 
 def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) -> NDArray[np.float64]:
-    """Return linear sRGB radiances over latitude and longitude, shape (ROWS, 2 ROWS, 3), with the sun at SUN_AZIMUTH.
+    """Return the image of a clear sky with its sun at SUN_AZIMUTH, linear sRGB radiance, shape (ROWS, 2 ROWS, 3).
 
-    The sky without its sun has an illuminance of π on the horizontal.
+    Without the sun, the sky has an illuminance of π on the horizontal.
 
     Args:
         sun_altitude: Angle of the sun above the horizon [rad], above 0.
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image is the grid on which suns are extracted, so that no pixel is split.
+    # The image has the same pixels as the grid from which suns are extracted later, so that no pixel is resampled.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
@@ -65,11 +66,11 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
 
 
 def relative_luminance(along: NDArray[np.float64], to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the luminance of the sky in directions above the horizon, relative to that of the zenith.
+    """Return the luminance of the sky in directions above the horizon, relative to the luminance of the zenith.
 
-    By CIE S 011/E:2003 it is f(χ) φ(Z) / (f(Zs) φ(0)), with the gradation φ(Z) = 1 + a exp(b / cos Z) and the
-    indicatrix f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the zenith, χ its angle to
-    the sun, and Zs the sun's angle to the zenith; y is up.
+    By CIE S 011/E:2003 this ratio is f(χ) φ(Z) / (f(Zs) φ(0)). The gradation is φ(Z) = 1 + a exp(b / cos Z). The
+    indicatrix is f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the zenith, χ its angle
+    to the sun, and Zs the sun's angle to the zenith; y is up.
 
     Args:
         along: Unit vectors, shape (..., 3).
@@ -88,7 +89,7 @@ def relative_luminance(along: NDArray[np.float64], to_sun: NDArray[np.float64]) 
 
 
 def illuminance_ratio(sun_altitude: float) -> float:
-    """Return the sun's illuminance normal to its direction, relative to the sky's on the horizontal."""
+    """Return the sun's illuminance, normal to its direction, relative to the sky's illuminance on the horizontal."""
     sine = math.sin(sun_altitude)
     return _SUN_KLX * math.exp(-_EXTINCTION / sine) / (_SKY_KLX + _SKY_KLX_OF_SINE * math.sqrt(sine))
 
@@ -96,10 +97,10 @@ def illuminance_ratio(sun_altitude: float) -> float:
 def _shares_of_sun(
     along: NDArray[np.float64], solid: NDArray[np.float64], towards: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the shares of the sun's power in pixels, with the mean direction of the sun and the variance of its disc.
+    """Return each pixel's share of the sun's power, such that mean direction and variance are those of the sun's disc.
 
-    Shares by area would make the sun 18 to 28 % wider, as a pixel is 0.35° wide. Of all shares with these
-    moments, those of largest entropy are s exp(θ·x), with solid angles s and moments x; θ minimises a convex function.
+    Shares in proportion to area would make the sun 18 to 28 % wider, as a pixel is 0.35° wide. The shares with these
+    moments and the largest entropy are s exp(θ·x), with solid angles s and moments x. θ minimises a convex function.
     """
     from scipy.optimize import minimize
 
@@ -126,7 +127,7 @@ def _shares_of_sun(
 
 
 def _daylight(temperature_k: float) -> NDArray[np.float64]:
-    """Return the linear sRGB of a luminance of 1 of CIE illuminant D at a colour temperature (CIE 15:2004, 3.1)."""
+    """Return the linear sRGB colour, of luminance 1, of CIE illuminant D at a colour temperature (CIE 15:2004, 3.1)."""
     t = 1e3 / temperature_k
     if temperature_k <= 7_000.0:
         x = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3

@@ -1,4 +1,4 @@
-"""Directional lights: light from infinitely far away, from a point or a disc."""
+"""Directional lights: light from infinitely far away, from a single direction or from a disc."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Softboxes: beyond, a light is an environment.
+# Largest diameter of a disc light [°]. Limit: softboxes are smaller, and larger lights can be given as environments.
 _WIDEST_DEG = 60.0
-# A disc up to this diameter shows no shape, and is one Gaussian; up to the second one if a single lobe is preferred.
-# Directions of a wider disc are sampled.
+# Largest diameters [°] of disc lights that are approximated by one Gaussian lobe: in refined pictures, and in pictures
+# with ``refine=False``. Limit: the lobe has no penumbra. Directions of wider discs are sampled.
 _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
@@ -61,7 +61,7 @@ class DirectionalLight(Checked, LobeLight):
         check_illuminant_type(self.illuminant)
 
     def lobe(self) -> Lobe:
-        """Return the light as one lobe, whose mean and variance are those of the disc."""
+        """Return the light as one lobe with the mean direction and the variance of the disc."""
         if self.angular_diameter_deg == 0.0:
             return Lobe(self.to_light, self.illuminant, self.power)
         radius = math.radians(self.angular_diameter_deg / 2.0)
@@ -69,7 +69,7 @@ class DirectionalLight(Checked, LobeLight):
         return Lobe(self.to_light, self.illuminant, self.power, deviations)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
-        """Return one lobe, or a disc whose directions are sampled: see :class:`warpdiff.lights.base.Light`."""
+        """Return one lobe, or a disc with sampled directions: see :class:`warpdiff.lights.base.Light`."""
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
             return super().parts(coherence, single_lobe=single_lobe, name=name)
         check_illuminant(self.illuminant, f"{name}.illuminant")

@@ -1,4 +1,4 @@
-"""Pass of a disc light: a direction of its own for each ray, with a shadow ray, blurred over a part of the disc."""
+"""Pass of a disc light: each ray draws a direction on the disc, traces a shadow ray, and blurs the look-up."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import DiscPart
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
 
-# Number of pixels whose cells a pixel's filter covers, a Gaussian: 4π of its variance.
+# Effective number of pixels under the pixel filter, a Gaussian with standard deviation σ in pixels. Derived: 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
-# Deviation of a sample's directions, in radii of the disc, over the root of the number of samples of a pixel, and at
-# most: a disc has half of its radius.
+# Blur of one sample of a disc: its standard deviation is ``_EXTENT`` disc radii over √(samples of the pixel). Choice:
+# twice as much lowers the noise but narrows penumbrae. The limit ``_MOST_EXTENT``, in radii, is the standard deviation
+# of a whole disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples whose directions are measured.
+# Number of samples per pixel that are drawn to measure the range of directions. Limit: time is proportional to it.
 _MEASURED = 16
 
 
 class DiscPass(LobePass):
-    """Pass of a disc. Its last lobe is the one with the mean and the variance of the disc, its others are samples."""
+    """Pass of a disc. Lobe numbers below ``sample_count`` are samples; the last lobe is one Gaussian for the disc."""
 
     is_sampled = True
 
@@ -39,7 +40,7 @@ class DiscPass(LobePass):
 
     @property
     def first_lobes(self) -> range:
-        """The single lobe where cells follow, otherwise the samples."""
+        """The Gaussian lobe if subpixel cells follow, otherwise all samples."""
         return (
             range(self.part.sample_count, self.part.sample_count + 1)
             if self.context.refines
@@ -48,15 +49,15 @@ class DiscPass(LobePass):
 
     @property
     def measured_lobes(self) -> range:
-        """Some of the samples, so that a plan's sample has many pixels."""
+        """The first few samples, so that the directions that a plan is tested on come from many pixels."""
         return range(_MEASURED)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample of each cell of refined pictures, otherwise the samples of a ray, shared by its cells."""
+        """Return one sample per cell in refined pictures; otherwise the cells share the samples of a pixel."""
         return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no grid, as each ray has a direction of its own: all ask the hierarchy."""
+        """Make no occluder grid: each ray has another direction, so that shadow rays use the hierarchy of faces."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:
@@ -64,12 +65,12 @@ class DiscPass(LobePass):
         return len(self.cell_lobes(batch.level)) if batch.level else self.part.sample_count
 
     def _extent(self, batch: RayBatch) -> float:
-        """Return the standard deviation of a sample's directions, in radii of the disc."""
+        """Return the standard deviation of the blur of one sample, in radii of the disc."""
         rays = _COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0
         return min(_EXTENT / math.sqrt(rays * self._samples(batch)), _MOST_EXTENT)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that draw a direction for each ray, and find its occlusion and scattering vector."""
+        """Return kernel calls that draw a direction for each ray, trace shadow rays and compute scattering vectors."""
         if lobe == self.part.sample_count:
             return super().scatter(0, batch, counting)
         samples = self._samples(batch)
@@ -81,7 +82,7 @@ class DiscPass(LobePass):
         return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return the calls that find the footprints of a batch: its filter's, widened by what each ray's light adds."""
+        """Return kernel calls that compute footprints: the pixel filter's, widened by the blur of the sample."""
         if lobe == self.part.sample_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

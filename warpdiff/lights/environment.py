@@ -1,4 +1,4 @@
-"""Environments: skies and rooms as lights, from a latitude-longitude image of all directions."""
+"""Environments: lights from all directions, such as skies and interiors, from a latitude-longitude image."""
 
 from __future__ import annotations
 
@@ -34,15 +34,19 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 
-# Largest radiance. Limit: squares of colours are float32.
+# Largest radiance, linear sRGB. Limit: kernels square colours in float32, which is at most 3e38.
 _MOST_RADIANCE = 1e9
+# Range of the option ``directions``. Limits: fewer directions show noise; time is proportional to them.
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
-# Number of directions per pixel of unrefined pictures: their noise is about 7 %.
+# Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is
+# proportional to the number.
 _DEFAULT_DIRECTIONS = 64
+# Approximate memory per pixel [bytes] to load an image, and to compute a background. Larger values refuse more images.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
-# Largest factor of the sun of a clear sky. Limit: far beyond any use, and below the limit of radiances.
+# Largest linear factor of the sun of a clear sky. Limit: the radiance of the sun remains below ``_MOST_RADIANCE``.
 _MOST_SUN = 1e3
-# Limit: sets of parts that an environment keeps, one for each window and number of directions, of 7 MB each.
+# Largest number of cached sets of parts per environment, one per window and number of directions. Limit: each set has
+# 7 MB.
 _MOST_PARTS = 4
 
 
@@ -57,8 +61,8 @@ class Environment(Checked, Light):
         radiance_rgb: Linear sRGB radiance, shape (height, width, 3), up to 1e9; negative components count as 0.
         rotation_deg: Rotation about +y, counter-clockwise from above.
         scale: Linear factor of the radiance.
-        directions: Number of directions that are drawn for each pixel with ``refine=False``; None is 64. Refined
-            pictures draw as many as their tolerance asks for.
+        directions: Number of directions that are drawn for each pixel with ``refine=False``; None is 64. In refined
+            pictures, the tolerance determines the number of directions.
 
     Examples:
         >>> import warpdiff as wd
@@ -94,7 +98,7 @@ class Environment(Checked, Light):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # Parts hold arrays on devices, which neither copies nor other processes share.
+        # Cached parts have arrays on devices, which copies and other processes cannot share.
         return {name: value for name, value in vars(self).items() if name != "_parts"}
 
     @classmethod
@@ -162,11 +166,11 @@ class Environment(Checked, Light):
     ) -> Environment:  # fmt: skip
         """Make a clear sky with a sun of 0.53° in diameter over diffuse ground, from formulas, without a file.
 
-        The sky is type 12 of the CIE standard general sky (CIE S 011, ISO 15469), in the colour of daylight of
-        15,000 K. The sun has 5,500 K. Without the sun, the illuminance of the sky on the horizontal is π, so that white
-        paper that faces up has a luminance of 1. The sun's illuminance, normal to its direction, is
-        127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) times the sky's, for an altitude of h (IES, 1984): 6.8 times at
-        45°, 0.5 times at 3°. The luminance of its disc is 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
+        The sky is type 12 of the CIE standard general sky (CIE S 011, ISO 15469), in the colour of daylight of 15,000
+        K. The sun has 5,500 K. Without the sun, the illuminance of the sky on the horizontal is π, so that white paper
+        that faces up has a luminance of 1. For a sun at the altitude h, the ratio of the sun's illuminance, normal to
+        its direction, to the sky's is 127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) (IES, 1984). The ratio is 6.8 at
+        45° and 0.5 at 3°. The sun's disc has a luminance of 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
         the result::
 
             body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 0.8, 0.3))
@@ -196,17 +200,17 @@ class Environment(Checked, Light):
             raise ArgumentValueError(
                 f"{ref('sun_direction')} must be above the horizon, with a y above 0, got {(x, y, z)}; raise the sun"
             )
-        # Rounded, so that suns that differ in azimuth alone have one spectrum, and its tables.
+        # The altitude is rounded, so that suns that differ only in azimuth have the same spectrum and share its tables.
         altitude = max(round(math.atan2(y, math.hypot(x, z)), 6), 1e-6)
         radiance = clear_sky_radiance(altitude, sun, ground_albedo)
         turn = math.remainder(SUN_AZIMUTH - math.atan2(x, -z), 2.0 * math.pi)
         return cls(radiance, rotation_deg=math.degrees(turn), scale=scale, directions=directions)
 
     def background(self, view: View) -> NDArray[np.float32]:
-        """The environment as a camera sees it, for ``background=`` of pictures.
+        """Return the environment behind the mesh, as visible through a camera, for ``background=`` of pictures.
 
-        It is as bright as a perfect mirror shows it. For pictures with ``ior=``, which are relative to the reflectance
-        at normal incidence, divide it by that reflectance.
+        The background is as bright as its reflection in a perfect mirror. Pictures with ``ior=`` are relative to the
+        reflectance at normal incidence: divide the background by that reflectance.
 
         Args:
             view: The camera.
@@ -229,17 +233,17 @@ class Environment(Checked, Light):
 
     @forks.cached_property
     def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Radiances of a :class:`SkyGrid`, and suns, neither of which depends on window, scale and rotation."""
+        """Radiances of a :class:`SkyGrid`, and suns; neither depends on window, scale or rotation."""
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return grid.astype(np.float32), suns
 
     @forks.cached_property
     def _parts(self) -> LruCache[tuple[LightPart, ...]]:
-        """Parts by window and number of directions, so that pictures under this environment share their arrays."""
+        """Cache of parts by window and number of directions, so that pictures under this environment share arrays."""
         return LruCache(most=_MOST_PARTS)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs)
-        """Return the sky and the suns, which the environment keeps: see :class:`warpdiff.lights.base.Light`."""
+        """Return the sky and the suns, which the environment caches: see :class:`warpdiff.lights.base.Light`."""
         if coherence.kind != "averaged" or coherence.sigma_um is None:
             raise ArgumentValueError(
                 f"{ref(name)} must not be an Environment for {ref('coherence')} of kind {coherence.kind!r}; use an "
@@ -251,7 +255,7 @@ class Environment(Checked, Light):
 
 
 def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """Return an environment of the same radiances with other settings, which were checked; it shares the grid."""
+    """Return an environment with the same radiances and other settings, already checked; both share the grid."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grid=environment._grid)
     return result
@@ -259,7 +263,7 @@ def with_settings(environment: Environment, rotation_deg: float, scale: float, d
 
 @dataclass(frozen=True, eq=False)
 class SkyPart(LightPart):
-    """The sky of an environment, without its suns, which illuminates from the whole hemisphere.
+    """Sky of an environment, without its suns; it illuminates from the whole hemisphere.
 
     Attributes:
         grid: The sky.
@@ -270,12 +274,12 @@ class SkyPart(LightPart):
     has_extent = True
 
     def __post_init__(self) -> None:
-        # Frozen: these follow from the grid.
+        # The dataclass is frozen, so that these attributes are computed from the grid and set here.
         vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of the sky."""
-        # Lights are described, as for the command line's help, without loading Warp.
+        """Return the pass that samples the sky."""
+        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.sky_pass import SkyPass
 
         return SkyPass(self.grid, context)
@@ -284,9 +288,9 @@ class SkyPart(LightPart):
 def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
     """Return the parts for windows of a standard deviation and a number of directions.
 
-    Of radiance L from a solid angle dω comes ρ L dω 4πσ²/λ² (the absolute reflectance over ρ), so that L/λ² is what
-    a directional light's illuminant is. Spectra are those of the RGB under D65 by Mallett and Yuksel's functions
-    (Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
+    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², where 4πσ²/λ² is the absolute reflectance over ρ.
+    Therefore L/λ² has the role of a directional light's illuminant. Spectra of RGB colours under D65 come from basis
+    functions (Mallett and Yuksel, Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
     """
     grid, suns = environment._grid
     primaries, per_radiance = _spectra()
@@ -313,7 +317,7 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
 
 @functools.cache
 def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]]:
-    """The illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] of radiances of 1 in linear sRGB."""
+    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for linear sRGB radiance 1."""
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)
     basis = np.maximum(colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(shape).values, 0.0)

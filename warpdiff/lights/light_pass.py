@@ -1,7 +1,6 @@
-"""Passes of lights: how a part of a light is sampled at the hits of rays, and coloured.
+"""Passes of lights: each pass samples one part of a light at the hits of rays, and looks up its colours.
 
-The arrays that passes read and fill stand apart by what they hold: hits (``scene.gbuffer``), samples of one lobe, and
-sums.
+Hits are in ``scene.gbuffer``. Samples of one lobe (:class:`LightSamples`) and sums (:class:`RayBatch`) are here.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceOptics:
-    """Optics of the surface besides the diffraction of its height field.
+    """Optics of the surface, except for the diffraction of its height field.
 
     Attributes:
-        coherence: The coherence.
+        coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
-        normal_reflectance: R(0) of Schlick's approximation; 1 for materials.
+        normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
         materials: Materials of the faces; None stands for ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
         energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None is Stam's energy.
@@ -58,15 +57,15 @@ class SurfaceOptics:
 
 
 class PassContext:
-    """Context that the passes of a picture share: its rays, its surface's optics, and both as kernels read them.
+    """Context that all passes of a picture share: its rays, its surface's optics, and structs for the kernels.
 
     Attributes:
         rays: The camera rays.
         optics: The optics of the surface.
-        is_pigmented: Whether the mesh has base colours that the pigment shows.
-        pigment_strength: Strength of the pigment over R(0); 0 without one.
+        is_pigmented: Whether the mesh has base colours and the pigment is visible.
+        pigment_strength: Strength of the pigment over R(0); 0 without a pigment.
         materials_of_faces: Index of each face's material on the device; empty for a single material.
-        refines: Whether pixels are subdivided where their errors ask for it.
+        refines: Whether pixels with large errors are subdivided.
         reflection: The struct ``Reflection`` of the kernels.
     """
 
@@ -107,7 +106,7 @@ class PassContext:
 
     @property
     def casts_shadows(self) -> bool:
-        """Whether the mesh may occlude the lights in the last view."""
+        """Whether shadow rays are required: the mesh may occlude the lights in the current view."""
         return self.optics.shadows and self.rays.may_be_occluded
 
     def pigment_white(self, illuminant: str | Spectrum) -> NDArray[np.float64]:
@@ -117,20 +116,21 @@ class PassContext:
 
 @dataclass(frozen=True)
 class LightSamples:
-    """One lobe at the hits of rays, which the next lobe overwrites; :meth:`LightPass.scatter` fills it.
+    """Arrays for one lobe at n hits; :meth:`LightPass.scatter` fills them, and the next lobe overwrites them.
 
-    A lobe of a sky is one direction for each ray.
+    For a sampled light, a lobe is one drawn direction per ray.
 
     Attributes:
         occluded: Whether the mesh occludes the lobe, (n,).
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
-        gains: Geometry factors, (n,); 0 where no light arrives. Of a sky 1 at hits.
+        gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
         spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) without sampled lights.
-        towards: Directions to the light that rays have of their own, world frame, and their weights, (n,) of
-            ``wp.vec4f``; likewise.
-        footprints: Footprints of the rays' filters in (u, v), (n,); empty for points.
-        material_gains: Geometry factors of one of several materials, (n,); empty for a single material.
+        towards: Directions that each ray draws, world frame, and their weights, (n,) of ``wp.vec4f``; empty without
+            sampled lights.
+        footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
+        material_gains: Geometry factors where faces have one of several materials, else 0, (n,); empty for a single
+            material.
     """
 
     occluded: wp.array
@@ -146,7 +146,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
     ) -> LightSamples:
-        """Return the arrays for a number of rays, with footprints if they show ``means``."""
+        """Return uninitialised arrays for a number of rays, with footprints if pixels show ``means`` over them."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -166,18 +166,18 @@ class LightSamples:
 
 @dataclass(frozen=True)
 class RayBatch:
-    """Rays that are shaded together, with the sums that they add to.
+    """Batch of n rays that are shaded together, with the sums to which their colours are added.
 
     Attributes:
-        gbuffer: Their hits.
-        samples: Their samples of the last lobe.
+        gbuffer: Hits of the rays.
+        samples: Samples of the last lobe at the hits.
         xyz: Sums of colours, (n,).
-        coverage: Sums of hits, (n,); empty counts none.
-        illuminated: Whether light reached them, (n,); empty marks none.
+        coverage: Sums of hits, (n,); an empty array is not written.
+        illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
         unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
-        tiles: Pixels whose cells the rays are, −1 is none; empty is one ray for each pixel of the picture.
+        tiles: Pixels whose cells are the rays; −1 is no pixel. Empty stands for one ray per pixel of the picture.
         level: Level of the cells; 0 is one ray per pixel.
-        deviation: Standard deviation of the rays' filter [pixels]; 0 for points.
+        deviation: Standard deviation of the rays' filter [pixels]; 0 if pixels show points.
     """
 
     gbuffer: GBuffer
@@ -192,19 +192,19 @@ class RayBatch:
 
     @property
     def sums(self) -> list[wp.array]:
-        """Colours, hits and illuminated rays."""
+        """Sums of colours, sums of hits, and marks of illuminated rays."""
         return [self.xyz, self.coverage, self.illuminated]
 
 
 @dataclass(frozen=True)
 class Counting:
-    """How a lobe's samples enter the sums of a batch.
+    """Weights and resets by which a lobe's samples enter the sums of a batch.
 
     Attributes:
         weight: Weight of the colours.
-        counted: Weight of the hits; 0 where an earlier lobe counted them.
-        begins: Whether all sums begin with this lobe.
-        resets: Whether the sum of colours begins with it.
+        counted: Weight of the hits; 0 if an earlier lobe counted these hits.
+        begins: Whether all sums are set to zero before this lobe is added.
+        resets: Whether the sum of colours is set to zero before this lobe is added.
     """
 
     weight: float = 1.0
@@ -214,12 +214,12 @@ class Counting:
 
 
 class LightPass(ABC):
-    """Pass of a part of a light over the rays of one picture, made before the plan is known.
+    """Base class of passes: one part of a light over the rays of one picture. A pass is made before the plan is known.
 
     Attributes:
-        is_sampled: Whether the light's directions are drawn at random, so that colours scatter.
-        context: What the passes of the picture share.
-        illuminated: By lobe, material and spectrum: the illuminants on the materials.
+        is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
+        context: Context that all passes of the picture share.
+        illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, material and spectrum.
     """
 
     is_sampled = False
@@ -239,60 +239,60 @@ class LightPass(ABC):
 
     @property
     def lobe_count(self) -> int:
-        """Number of lobes, which are sampled one after the other."""
+        """Number of lobes, which are processed one after the other."""
         return len(self.illuminated)
 
     @property
     def first_lobes(self) -> range:
-        """The lobes that the pixels' own rays take."""
+        """Lobes that are evaluated with one ray per pixel."""
         return range(self.lobe_count)
 
     @property
     def measured_lobes(self) -> range:
-        """The lobes whose directions a plan is for."""
+        """Lobes whose directions are measured for the plan."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of sampled lights)
-        """Return the lobes that the cells of a level take."""
+        """Return the lobes that are evaluated for the cells of a level."""
         return range(self.lobe_count)
 
     @property
     @abstractmethod
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Return the numbers that the launches depend on: a part of the key of a recorded CUDA graph.
+        """Return the values that the launches depend on: a part of the key of a recorded CUDA graph.
 
-        A replayed launch reuses the scalar arguments that it was recorded with. Such a number must be in the key, or
+        A replayed launch reuses the scalar arguments of the recording. A scalar that may change must be in this key, or
         in an array that :meth:`begin` fills.
         """
 
     @abstractmethod
     def begin(self, previous: LightPass | None) -> None:
-        """Fill the arrays of this pass, which are those of the pass before where they fit: recorded graphs read them.
+        """Fill the arrays of this pass. Arrays of the previous pass are reused where they fit, for recorded graphs.
 
         Args:
-            previous: The pass of the same part of the picture before; None is the first.
+            previous: The pass of the same part in the previous picture; None if there is none.
         """
 
     @property
     def is_prepared(self) -> bool:
-        """Whether shadow rays are prepared; those of a pass that asks the hierarchy always are."""
+        """Whether shadow rays are prepared; passes without occluder grids are always prepared."""
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Prepare shadow rays, as many for each lobe as the function says, which may read the hits."""
+        """Prepare the tracing of shadow rays; ``count`` returns the number of rays per lobe, and may read the hits."""
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that sample a lobe at the hits of a batch, and add its pigment."""
+        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that add the colours of a sampled lobe."""
+        """Return the kernel calls that look up and add the colours of a sampled lobe."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
     ) -> list[KernelCall]:
-        """Return the calls that add the colours of a lobe by geometry factors of each spectrum, for all materials."""
+        """Return the kernel calls that look up and add a lobe's colours, with one array of gains per spectrum."""
         samples, calls = batch.samples, []
         for material, spectra in enumerate(self.illuminated[lobe]):
             for gain, illuminated in zip(gains, spectra, strict=True):
@@ -308,18 +308,18 @@ class LightPass(ABC):
         return calls
 
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that add the colours of all lobes to a batch of cells."""
+        """Return the kernel calls that add the colours of all lobes to a batch of cells."""
         calls = []
         for lobe in self.cell_lobes(batch.level):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return which rays are occluded from the last lobe; empty is none of them."""
+        """Return the marks of rays with hits that are occluded from the last lobe; an empty array marks none."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
-        """Return the call that finds the footprints of the rays' filter in (u, v)."""
+        """Return the kernel call that computes the footprints of the rays' filter in (u, v)."""
         rays, samples = self.context.rays, batch.samples
         inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
         return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)

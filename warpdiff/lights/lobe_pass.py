@@ -21,18 +21,19 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.tables.lookup import ColourLookup
 
-# Limit of the power of a point light over the square of the mesh's radius: squares of colours nearby are float32.
+# Largest power of a point light over the square of the mesh's radius. Limit: near the light, squares of colours must
+# remain below the largest float32.
 _MOST_NEARBY = 1e9
 
 
 class LobePass(LightPass):
-    """Pass of lobes, which are sampled one after the other.
+    """Pass of lobes, which are processed one after the other.
 
-    A light with an emission profile or a footprint of its own overrides :meth:`gain_calls` or :meth:`footprint_calls`,
-    and :attr:`graph_key` if these give numbers to kernels by value.
+    A subclass for lights with an emission profile overrides :meth:`gain_calls`; one with other footprints overrides
+    :meth:`footprint_calls`. If these methods pass scalars to kernels, :attr:`graph_key` must contain the scalars.
 
     Attributes:
-        part: The lobes.
+        part: The set of lobes.
     """
 
     def __init__(self, part: LobeSet, context: PassContext) -> None:
@@ -43,7 +44,7 @@ class LobePass(LightPass):
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the lobes into the arrays of a pass of as many lobes, or into new ones."""
+        """Write the lobes into arrays: of the previous pass if it has the same number of lobes, otherwise new ones."""
         lobes, context = self.part.lobes, self.context
         if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
             self._lights = previous._lights
@@ -59,14 +60,14 @@ class LobePass(LightPass):
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
 
     def _place(self, lobe: Lobe) -> tuple[float, ...]:
-        """Return the homogeneous coordinates of a lobe in the surface's units."""
+        """Return a lobe as homogeneous coordinates in the surface's units: direction and 0, or position and 1."""
         if lobe.position is None:
             return *lobe.to_light, 0.0
         surface = self.context.rays.surface
         return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
 
     def _power(self, lobe: Lobe) -> float:
-        """Return the power of a lobe; powers refer to distances in mesh units, and kernels take radii of the mesh."""
+        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
         if lobe.position is None:
             return lobe.power
         radius = self.context.rays.surface.radius
@@ -80,31 +81,31 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Illuminants, and which lobes have an extent or a position."""
+        """Key of a recorded CUDA graph: illuminants of the lobes, and whether each has an extent and a position."""
         kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
-        """Whether there is a grid for each lobe."""
+        """Whether each lobe has its struct ``ShadowGrid``, which tracing shadow rays requires."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction that a grid is for."""
+        """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction to make a grid for."""
         rays = self.context.rays
         to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
-        # The previous grids are freed first: both together may exceed the memory.
+        # The previous grids are freed before new ones are made, as both together may exceed the memory.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the calls that find occlusion, scattering vectors and geometry factors of a lobe."""
+        """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe."""
         return self.scatter_towards(self._no_directions, lobe, 1.0, batch, counting)
 
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
     ) -> list[KernelCall]:
-        """Return the calls of :meth:`scatter` for a share of a lobe, whose direction each ray may have of its own."""
+        """Return kernel calls as :meth:`scatter`, for a share of a lobe; ``towards`` may have a direction per ray."""
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
         inputs = [
@@ -123,14 +124,14 @@ class LobePass(LightPass):
         return [*calls, *self.gain_calls(lobe, batch)]
 
     def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
-        """Return calls that change the geometry factors of a lobe, such as by an emission profile.
+        """Return kernel calls that change the geometry factors of a lobe, for example by an emission profile.
 
-        The pigment and the illuminated pixels are those of the light without the profile.
+        The light of the pigment and the marks of illuminated pixels do not include these changes.
         """
         return []
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return the calls that find the footprints of a batch: its filter's, widened by what the lobe adds."""
+        """Return kernel calls that compute footprints: the pixel filter's, widened by a lobe's extent and position."""
         rays, pixels, footprints = self.context.rays, batch.gbuffer.pixels, [batch.samples.footprints]
         calls = [self.filter_footprints(batch)]
         if self.part.lobes[lobe].position is not None:
@@ -142,7 +143,7 @@ class LobePass(LightPass):
         return calls
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that look up the colours of a lobe, material after material."""
+        """Return the kernel calls that look up the colours of a lobe, one material after the other."""
         calls, footprints = [], None
         if lookup.plan.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints

@@ -42,5 +42,5 @@ class PointLight(Checked, LobeLight):
         check_illuminant_type(self.illuminant)
 
     def lobe(self) -> Lobe:
-        """Return the light as one lobe at a position."""
+        """Return the light as one lobe with a position."""
         return Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position)

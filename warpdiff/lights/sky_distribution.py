@@ -1,4 +1,4 @@
-"""Distributions of directions under a sky: of what a surface sends by (u, v), and of the sky's blocks."""
+"""Distributions of sampled directions under a sky: over (u, v) by the surface's colours, and over blocks of the sky."""
 
 from __future__ import annotations
 
@@ -22,23 +22,27 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Rings per octave of |(u, v)|, up to the largest one. The disc within the first ring has such a radius, over the
-# deviation of an order's lobe. Spokes are as far apart as so many deviations, but no more than a number of them.
+# Rings per octave of |(u, v)|, largest |(u, v)|, and radius of the disc inside the first ring, in standard deviations
+# of an order's lobe. Choices: they change the noise, not the mean.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
+# Distance of azimuth samples on a ring, in standard deviations of the lobe of an order, and the fewest and the most
+# samples per ring. Limit: at most 64 samples per ring increase errors by half (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
-# Cosines of both directions together for which the surface's colours are averaged.
+# Values of |w| = cos θi + cos θr at which the surface's colours are averaged. Choice: they change the noise, not the
+# mean.
 _WS = (0.8, 1.3, 1.8)
-# Deviation of a look-up's footprint over the size of its cell.
+# Standard deviation of a look-up's footprint, in sizes of the (ring, azimuth) cell. Choice: wider look-ups blur the
+# distribution.
 _WIDTH = 0.4
-# Share of a ring's light that is distributed evenly over its azimuths, and of all light over the rings: places that are
-# dark at the cosines above may be bright at others.
+# Share of a ring's samples that are distributed evenly over its azimuths, and of all samples over the rings. Reason:
+# points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at others.
 _EVEN_SHARE = 0.05
-# Number of cells along a side of a block of the sky's grid. Directions are drawn from blocks.
+# Number of grid cells along a side of a block of the sky. Limit: smaller blocks use more memory and time to search.
 _CELLS_OF_BLOCK = 4
 
 
 def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
-    """Upload the powers of a sky, cumulative shares of rows and columns of its blocks, and the blocks' densities."""
+    """Upload a sky: its powers, cumulative shares of rows and of columns of blocks, and densities of blocks."""
     arrays = _of_sky(grid)
     return (
         wp.array(grid.powers, dtype=wp.vec3f, device=device),
@@ -64,11 +68,11 @@ def distribution_for(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
 ) -> sky_samples.SkyDistribution:  # fmt: skip
-    """Return the struct ``SkyDistribution`` of a look-up and a sky, made or found again.
+    """Return the struct ``SkyDistribution`` of a look-up and a sky; the look-up caches the surface's part.
 
     Args:
         lookup: The look-up.
-        illuminated: Spectra by material.
+        illuminated: Illuminated materials by material and spectrum.
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
     """
@@ -84,7 +88,7 @@ def distribution_for(
 def _of_surface(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
 ) -> tuple[wp.array | float, ...]:
-    """Return the arrays and numbers of the distribution over (u, v)."""
+    """Return the arrays and numbers of the surface's distribution over (u, v), as ``SkyDistribution`` stores them."""
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv
     per_log = _RINGS_PER_OCTAVE / math.log(2.0)
@@ -100,7 +104,7 @@ def _of_surface(
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # The light of an azimuth sample is its colour times its area, relative to |(u, v)|² from the first ring on.
+    # The light of an azimuth sample is its colour times its area in (u, v).
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area
@@ -120,7 +124,7 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Mean of X, Y and Z at places of (u, v), over materials, spectra and some |w|, (n,)."""
+    """Return X + Y + Z at points of (u, v), shape (n,): sums over materials and spectra, means over ``_WS``."""
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
     vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)
@@ -135,9 +139,9 @@ def _luminances(
 
 
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return cumulative shares of rows and of columns, and densities, of blocks of a sky by their light."""
+    """Return cumulative shares of light by rows and by columns of a sky's blocks, and the blocks' densities."""
     bright = grid.powers.sum(axis=2)
-    # The light between cells is linear, so that a bright one reaches into those around it.
+    # Light is interpolated linearly between cells, so that a bright cell also illuminates the cells next to it.
     bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
     bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
     rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)

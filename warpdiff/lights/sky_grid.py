@@ -1,4 +1,4 @@
-"""Sky grids: a sky in latitude and longitude, without its suns, in three spectra that add up to any RGB."""
+"""Sky grids: powers of a sky without its suns, by latitude and longitude, in three spectra that add up to any RGB."""
 
 from __future__ import annotations
 
@@ -17,32 +17,34 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.spectra import Spectrum
 
-# Rows of the grid of directions, in steps of 0.35°.
+# Number of rows of the latitude-longitude grid, 0.35° each. Limit: twice as many take four times the memory.
 ROWS = 512
-# Suns: how far they reach [rad], or in pixels that the sky is given by, but no further than lights of a size are one
-# Gaussian; how bright what lies around may be, of their brightest; which share of all light they are; how many.
+# Angular radius of a sun [rad]: ``_SUN_REACH``, or ``_SUN_PIXELS`` pixels of the image if that is larger. Limit: beyond
+# ``_FARTHEST_SUN_REACH`` no suns are extracted, as one Gaussian lobe is too coarse for larger lights.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
+# Largest brightness around a sun, relative to its brightest cell; least share of a sun in all light; largest number of
+# suns. Choices: other bright parts remain in the sky, where they cause more noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
 class Sun(NamedTuple):
-    """A bright and small part of a sky."""
+    """Bright and small part of a sky, which becomes a separate light."""
 
     towards: NDArray[np.float64]
-    rgb: NDArray[np.float64]  # radiance times solid angle
-    deviation: float  # of its directions along an axis [rad]
+    rgb: NDArray[np.float64]  # linear sRGB radiance times solid angle
+    deviation: float  # standard deviation of the sun's directions along one axis [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class SkyGrid:
-    """A sky as a light, at one rotation, scale and window.
+    """Grid of a sky's powers at one rotation, scale and window.
 
     Attributes:
-        spectra: Three illuminants; any colour is a sum of them.
+        spectra: Three illuminants, which add up to any colour.
         powers: Power per solid angle by spectrum, in the directions of :func:`grid_directions`.
         turn: Rotation about +y [rad].
-        directions: Number of directions of each pixel of pictures that are not refined.
-        device_arrays: Arrays of this grid on devices, by the device's name; the upload stores them here.
+        directions: Number of directions per pixel in pictures with ``refine=False``.
+        device_arrays: Cache of this grid's arrays, by the device's name.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
@@ -53,7 +55,7 @@ class SkyGrid:
 
 
 def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Values of a grid over latitude and longitude in directions, linear between its points."""
+    """Return values of a latitude-longitude grid in some directions, by bilinear interpolation."""
     height, width = grid.shape[:2]
     polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
     row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
@@ -61,7 +63,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top)[..., None], (column - left)[..., None]
     left, next_left = left % width, (left + 1) % width
-    # Flat indices: np.take is five times as fast as a pair of index arrays.
+    # np.take with flat indices is five times as fast as a pair of index arrays.
     flat, top = grid.reshape(height * width, -1), top * width
     upper = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
     top += width
@@ -70,7 +72,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """A sky on the grid, without its suns, which are separate lights: the grid's cells are too wide."""
+    """Return a sky on the grid without its suns, and the suns; the cells of the grid are too wide for suns."""
     grid = _on_grid(radiance)
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []
@@ -86,14 +88,15 @@ def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], li
 
 
 def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[np.float64]] | None:
-    """The sun of a sky, if its brightest part is small and far brighter than what is around, and the sky without it."""
+    """Return the sun of a sky and the sky without it, or None if no part is small and bright enough."""
     height, width = grid.shape[:2]
     bright = grid @ colorimetry.RGB_TO_XYZ[1]
     solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
     least_power = _SUN_SHARE * (bright * solid).sum()
     brightest = bright.max()
     row, column = np.unravel_index(bright.argmax(), bright.shape)
-    # The surroundings reach twice as far as the sun, whose middle lies within its extent of its brightest cell.
+    # The window around the brightest cell extends three angular radii of the sun in each direction: one radius to the
+    # sun's centre, and two radii for the surroundings.
     reach = math.ceil(3.0 * sun_extent / math.pi * height) + 1
     rows = slice(max(int(row) - reach, 0), int(row) + reach + 1)
     bright, solid = bright[rows], np.broadcast_to(solid, bright.shape)[rows]
@@ -110,7 +113,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
         towards /= np.linalg.norm(towards)
     if bright[around].max() > _AROUND_SUN * brightest:
         return None
-    # The remaining sky is as bright as its surroundings.
+    # The brightness of the surroundings remains in the sky where the sun was.
     share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
     rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
     rest = grid.copy()
@@ -119,7 +122,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
 
 
 def grid_directions() -> NDArray[np.float64]:
-    """Unit vectors to the middles of the grid's cells, (ROWS, 2 ROWS, 3)."""
+    """Return unit vectors to the centres of the grid's cells, shape (ROWS, 2 ROWS, 3)."""
     polar = (np.arange(ROWS) + 0.5) / ROWS * math.pi
     azimuth = ((np.arange(2 * ROWS) + 0.5) / ROWS - 1.0) * math.pi
     level = np.sin(polar)[:, None]
@@ -128,7 +131,7 @@ def grid_directions() -> NDArray[np.float64]:
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Radiance on a grid, (ROWS, 2 ROWS, 3): its means over cells, or linear between pixels that are larger."""
+    """Return radiance on the grid, shape (ROWS, 2 ROWS, 3): means over cells, or interpolated between larger pixels."""
     result = radiance.astype(np.float64)
     if len(result) < ROWS:
         rows, columns = len(result), result.shape[1]
@@ -142,7 +145,7 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:
-            # By solid angle.
+            # Rows are weighted by solid angle.
             edges, targets = (0.5 - 0.5 * np.cos(math.pi * places) for places in (edges, targets))
         result = np.moveaxis(result, axis, 0)
         sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(edges)[:, None, None], 0)])

@@ -1,4 +1,4 @@
-"""Pass of a sky: directions that are drawn in proportion to what the surface and the sky send, a shadow ray each."""
+"""Pass of a sky: directions drawn by the brightness of the surface and the sky, each with a shadow ray."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.tables.lookup import ColourLookup
 
-# Share of the samples that are drawn from the sky's blocks, without and with a pigment, which sends light from
-# everywhere.
+# Share of the samples that are drawn from blocks of the sky, without and with a pigment. Choices: they change the
+# noise, not the mean. A pigment reflects light from all directions, so that more samples come from the sky.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of samples of each ray of pictures whose pixels are subdivided, where they only tell how bright the picture is.
+# Number of samples per pixel before pixels are subdivided. Choice: they only estimate the brightness of the picture.
 _FIRST_SAMPLES = 4
 
 
 class SkyPass(LightPass):
-    """Pass of a sky, whose grid the environment caches together with its arrays on devices.
+    """Pass of a sky; the environment caches the grid and the grid's arrays on devices.
 
     Attributes:
-        grid: The sky.
+        grid: Grid of the sky's powers.
     """
 
     is_sampled = True
@@ -45,30 +45,30 @@ class SkyPass(LightPass):
 
     @property
     def lobe_count(self) -> int:
-        """Number of samples of the pixels' own rays."""
+        """Number of samples per pixel with one ray per pixel."""
         return self.grid.directions
 
     @property
     def first_lobes(self) -> range:
-        """The samples of the pixels' own rays, which are few where cells follow."""
+        """Samples that are evaluated with one ray per pixel; only a few if subpixel cells follow."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample of each cell of refined pictures, otherwise the samples of a ray, shared by its cells."""
+        """Return one sample per cell in refined pictures; otherwise the cells share the samples of a pixel."""
         return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """The grid, whose arrays the launches read."""
+        """Key of a recorded CUDA graph: the grid of the sky, whose arrays the launches read."""
         return type(self), self.grid
 
     def begin(self, previous: LightPass | None) -> None:
-        """Upload the sky, unless the environment or the pass before has its arrays."""
+        """Upload the sky, unless the environment or the previous pass already has its arrays on the device."""
         context = self.context
         if isinstance(previous, SkyPass) and previous.grid is self.grid:
             self._lights, self._sky, self._blocks = previous._lights, previous._sky, previous._blocks
             return
-        # Kernels read the strength of the pigment from where that of lobes stands.
+        # Kernels read the strength of the pigment from the array ``strengths``, as for lobes.
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._sky = sky_samples.Sky()
         self._sky.powers, *self._blocks = self.grid.device_arrays.get_or_make(
@@ -79,13 +79,13 @@ class SkyPass(LightPass):
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the call that finds the scattering vectors of a batch for light by way of a mirror."""
+        """Return the kernel call that computes scattering vectors for light from the mirror direction."""
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the calls that draw a direction for each ray of a batch, and add its colours."""
+        """Return kernel calls that draw a direction of the sky for each ray, and add the colour from this direction."""
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)

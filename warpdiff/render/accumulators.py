@@ -1,4 +1,4 @@
-"""Accumulators: sums over the lights of a picture, and the parts of their errors, one entry per pixel."""
+"""Accumulators: sums over the lights of a picture, and their estimated errors, with one entry per pixel."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-# Fields that each light has for itself.
+# Fields of ``Accumulators`` that have separate arrays for a single light.
 _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 
 @dataclass(frozen=True)
 class Accumulators:
-    """Sums of a picture, or of one of its lights; passes of lights and their refinement fill them.
+    """Sums of a picture, or of one of its lights; passes of lights and their refinement fill these arrays.
 
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
-        coverage: Sums of hits; all lights share this array.
-        coverage_levels: Sum of the levels of the tiles that the coverage is from; empty for points, shared likewise.
+        coverage: Shares of hits; all lights share this array.
+        coverage_levels: Sum of the levels of the tiles from which the coverage was computed; empty if pixels show
+            points. All lights share this array.
         illuminated: Whether any light reached the pixel.
-        errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty for points.
-        edges: Whether an edge passes through the pixel, as its cells show; all lights share this array.
+        errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
+        edges: Whether an edge passes through the pixel, according to its cells; all lights share this array.
     """
 
     xyz: wp.array
@@ -32,7 +33,7 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return the sums of a number of pixels, for means or for points."""
+        """Return the sums of a number of pixels, initially zero, with arrays for errors if pixels show ``means``."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)
@@ -43,7 +44,7 @@ class Accumulators:
         )  # fmt: skip
 
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
-        """Return sums of a single light, in arrays of previous ones, that share what belongs to the pixels."""
+        """Return sums for a single light that share coverage and edges; other arrays are taken from ``previous``."""
         own = {
             name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)
             for name in _OF_ONE_LIGHT
@@ -51,6 +52,6 @@ class Accumulators:
         return replace(self, **own)
 
     def clear_errors(self) -> None:
-        """Set all errors, edges and levels to zero."""
+        """Set all errors, edges and coverage levels to zero."""
         for array in (self.errors, self.coverage_levels, self.edges):
             array.zero_()

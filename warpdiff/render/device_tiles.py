@@ -1,4 +1,4 @@
-"""Tiles on a GPU: lists that the device fills and drains without the host, so that launches can be recorded."""
+"""Tiles on a GPU: the device fills and empties lists of tiles without the host, so that launches can be recorded."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ if TYPE_CHECKING:
 
     from warpdiff.render.refinement import LightRefinement
 
-# Number of rays at a time (limit: a GPU has much memory, and many threads).
+# Largest number of rays in the buffers. Limit: memory is proportional to it, and fewer rays leave threads without work.
 _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor whose device decides on its own; launches find no work where no tile is left.
+    """Tile executor for launches that need no host; launches do nothing if no tile is left.
 
     Attributes:
-        floor: Luminance that errors are relative to at least, (1,).
-        marks: By pixel, whether it is active, converged or neither.
+        floor: Least luminance that errors are relative to, (1,).
+        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
+            neither (0).
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate arrays of fixed size, as recorded launches require, for a picture under lights like this one."""
+        """Allocate arrays of fixed size, as recorded launches require, for pictures under lights of this kind."""
         rays = light.light_pass.context.rays
         device = rays.options["device"]
 
@@ -46,13 +47,13 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # The next light of the picture, or of the next one, may be sampled.
+        # The buffers always have the arrays of sampled lights, as a later light may be sampled.
         kind = light.buffer_kind._replace(is_sampled=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
     @property
     def count(self) -> int:
-        """Number of pixels that were subdivided, of the light of which these are most."""
+        """Number of pixels that were subdivided; under several lights, the largest number of a light."""
         return int(self._largest_count.numpy()[0])
 
     def _launch(
@@ -61,14 +62,14 @@ class DeviceTiles:
         launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:  # noqa: ARG002 (of the host's groups)
-        """Launch a call over all pixels."""
+        """Launch a kernel call over all pixels."""
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Keep nothing: the device completes one picture."""
+        """Do nothing: previews, which would reuse tiles, exist only on the host."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: find the floor by a histogram, as the host's exact percentile would need the host."""
+        """Begin a light: compute the floor of errors from a histogram, as exact percentiles would require the host."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]
@@ -76,12 +77,12 @@ class DeviceTiles:
         self._marked_count.zero_()
 
     def end(self, light: LightRefinement) -> None:
-        """Keep the largest count of the lights."""
+        """Update the largest number of subdivided pixels of a light."""
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the whole picture, with the marked pixels and those around as tiles."""
+        """Yield the whole picture as one group; its tiles are the marked pixels and the eight pixels around each."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
@@ -92,7 +93,7 @@ class DeviceTiles:
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the cells of as many tiles as there is room for until none is left; −1 is no tile."""
+        """Shade the cells of tiles in batches that fit the buffers until no tile is left; −1 is no tile."""
         calls = light.shade_cells(level, self._buffers, group.sums)
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()

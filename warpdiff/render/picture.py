@@ -43,16 +43,17 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Share of a light's progress that the pixels' own rays take (fitted to a picture at a tolerance of 1e-1).
+# Share of a light's progress at which its first rays, one per pixel, are done. Fitted: picture at a tolerance of 1e-1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Shadow rays per hit of a picture that is refined (fitted to the snake: 20 at a tolerance of 1e-1, 59 at 3e-2).
+# Expected number of shadow rays per hit in a refined picture. Fitted to the snake: 20 at tolerance 1e-1, 59 at 3e-2.
 _SHADOW_RAYS_REFINED = 24
-# Number of pixels per slice of the look-ups of own rays on the CPU.
+# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: threads have less even
+# work with longer slices, and more launches with shorter ones.
 _COLOURS_OF_SLICE = 2048
 
 
 def load_kernels(device: wp.Device) -> None:
-    """Begin to load what every picture requires, while the mesh is prepared."""
+    """Begin to load the kernels that every picture requires, in the background while the mesh is prepared."""
     load([primary_hits.intersect_known_faces, light_samples.scattering_vectors, trace_shadow_rays], device)
 
 
@@ -74,13 +75,13 @@ class Picture:
             view: The first view.
             optics: The optics of the surface.
             smooth: Whether vertex normals are interpolated.
-            samples_per_pixel: Number of samples per pixel, or the least number of cells of means.
-            means: Whether pixels show means, which begin with one ray per pixel.
-            refine: Whether pixels that show means are refined.
+            samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
+            means: Whether pixels show means over footprints, which begin with one ray per pixel.
+            refine: Whether pixels that show means are subdivided further where their errors are large.
             margin: Number of additional pixels on each side, which the filters of the outermost pixels cover.
             materials_of_faces: Index of each face's material; None for a single material.
-            device_driven: Whether the CPU, too, fills the picture without the host, so that its launches can be
-                recorded; the host's part makes pictures faster there.
+            device_driven: Whether launches need no host on the CPU, too, so that they can be recorded. Pictures take
+                longer then.
             device: The Warp device.
             threads: Number of threads on the CPU.
         """
@@ -95,7 +96,7 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # Sums of a single light, which are the picture's unless means under several lights have to be distinguished.
+        # Sums of a single light are separate arrays only if means under several lights are added.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -116,13 +117,13 @@ class Picture:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard hits and samples, so that the next rendering finds them again."""
+        """Discard hits and samples, so that the next rendering computes them again."""
         self.sampler.invalidate()
 
     def set_lights(self, parts: Sequence[LightPart]) -> None:
-        """Set the lights; their passes take over the arrays of the passes before, which a recorded graph reads."""
+        """Set the lights; their passes reuse the arrays of the previous passes, which a recorded graph reads."""
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
-        # Lights that are refused leave those before.
+        # If a light is refused here, the previous lights remain in use.
         passes = [part.make_pass(self.context) for part in parts]
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
@@ -130,21 +131,21 @@ class Picture:
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
-            # The arrays of one light stay the same, as a recorded graph reads them.
+            # Sums of one light reuse the previous arrays, which a recorded graph reads.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Return the key of a recorded CUDA graph: all that the launches depend on besides values in arrays."""
+        """Return the key of a recorded CUDA graph: everything that the launches depend on, except values in arrays."""
         passes = tuple(light_pass.graph_key for light_pass in self._passes)
         return *passes, self.view.extent_y is None, self.context.casts_shadows
 
     def measure_directions(self, heightfield: HeightField) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the range of all illuminated directions, some of them, and their number."""
+        """Return the range of all illuminated directions, a sample of these directions, and their number."""
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Sample all lobes in turn; yields the lobe, and its share of the progress."""
+        """Process all lobes of all samples; yield each lobe and its share of the progress."""
         lobes = list(self.sampler.lobes())
         count = self._samples_per_pixel * len(lobes)
         for sample in range(self._samples_per_pixel):
@@ -160,9 +161,9 @@ class Picture:
         Args:
             lookup: Look-up of the colours.
             tolerance: Tolerance of the picture.
-            progress: Function of the share that is done; None is none.
-            previews: Larger tolerances, the largest first, each with a function that is called once the picture meets
-                it, where the host subdivides pixels.
+            progress: Callable that gets the share that is done; None reports nothing.
+            previews: Larger tolerances, the largest first, each with a callable, which is called once the picture
+                meets the tolerance. Previews have no effect on a GPU.
         """
         if lookup.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
@@ -174,11 +175,11 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
-        # A device completes one picture.
+        # Launches that need no host cannot stop for previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:
-            # Each light takes all of its cells before the next, so that only whole pictures meet a coarser tolerance.
+            # Each light is refined completely before the next, so that a preview requires a separate picture.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)
@@ -191,7 +192,7 @@ class Picture:
     def _render_means(
         self, lookup: ColourLookup, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
-        """Add means over pixels, light after light."""
+        """Add the colours of all lights as means over pixels, one light after the other."""
         self._sums.clear_errors()
         of_light, count = self._light_sums, len(self._passes)
         if count > 1:
@@ -220,7 +221,7 @@ class Picture:
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
     def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
-        """Add what the pixels' own rays see under the lobes of a light."""
+        """Add the colours of one ray per pixel under the first lobes of a light."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
         for at, lobe in enumerate(lobes):
@@ -249,7 +250,7 @@ class Picture:
 
     @property
     def xyz(self) -> wp.array:
-        """The colours, (height, width), where they are or, from within a margin, in an array that stays the same."""
+        """Colours, shape (height, width): the array of sums, or with a margin a copy of its inner part."""
         colours = self._sums.xyz.reshape((self.rays.height, self.rays.width))
         if self.rays.size == self.view.width * self.view.height:
             return colours
@@ -259,7 +260,7 @@ class Picture:
         return self._shown_xyz
 
     def _cropped(self, values: wp.array | NDArray[Any]) -> NDArray[Any]:
-        """Return what the view shows of values of pixels, an array on the device or on the host."""
+        """Return values of all pixels, from the device or the host, as an array without the margin."""
         values = values.numpy() if isinstance(values, wp.array) else values
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
@@ -275,13 +276,14 @@ class Picture:
 
         contrasts = None
         if self._means:
-            # The neighbours of the outermost pixels are those of the margin.
+            # Contrasts include the margin, so that the outermost pixels of the view have neighbours, too.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
-        # Pixels are subdivided, too, of which cells alone may hit the mesh, and those of the margin.
+        # The number of subdivided pixels includes the margin and pixels where only cells hit the mesh. Therefore
+        # this number may exceed the number of covered pixels.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

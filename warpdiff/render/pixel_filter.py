@@ -1,8 +1,8 @@
-"""Pixel filters: where the cells of a pixel lie, what they weigh for the pixels around, and how many go together.
+"""Pixel filter: positions of subpixel cells, weights of cells for nine pixels, and sizes of batches.
 
-A pixel begins as one ray whose filter is the pixel's. Level n splits pixels into squares of 2ⁿ × 2ⁿ cells, each a ray
-with a filter of its own, and a pixel is a weighted sum over its own cells and those of the eight pixels around it. So a
-cell serves nine pixels. Second differences of 2 × 2 cells tell which level a pixel's cells need.
+A pixel begins as one ray with the pixel filter. Level n divides pixels into 2ⁿ × 2ⁿ cells. Each cell is a ray with a
+narrower filter. A pixel's colour is a weighted sum over its cells and the cells of the eight pixels around it. Each
+cell therefore contributes to nine pixels.
 """
 
 from __future__ import annotations
@@ -34,27 +34,28 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Deviation of a cell's filter over the cells' distance. Fitted: on the snake 0.5 has up to 1.5 times the error.
+# Standard deviation of a cell's filter, relative to the cell spacing. Fitted (docs/decisions/adaptive_sampling.md):
+# with 0.5, errors on the snake are 1.1 to 2 times as large.
 _CELL_SIGMA_PER_SPACING = 0.4
-# Where a pixel is covered in part, it is split to this level at least, into 4 × 4 cells.
+# Least level of pixels at silhouettes of the mesh, 4 × 4 cells. Choice: each further level quadruples the time there.
 SILHOUETTE_LEVEL = 2
-# Rays at a time: worth what comes before their launches, and bounded by their memory.
+# Fewest and most rays per slice. Limits: shorter slices spend more time on launches, longer ones use more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
-# Rays whose faces are found together, eight bytes each.
+# Largest number of rays that are rasterized together. Limit: each takes eight bytes.
 _MOST_RASTERIZED = 1 << 24
 
 
 def level_of(samples: int, *, means: bool) -> int:
-    """The least level of at least so many rays a pixel."""
+    """Return the coarsest level with at least this number of rays per pixel, within the supported levels."""
     least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
 
 def deviation_at(level: int, *, means: bool) -> float:
-    """Deviation of the filter of a ray [pixels]: the pixel's, or a cell's; points have none."""
+    """Return the standard deviation of a ray's filter [pixels]: of a pixel, or of a cell; 0 if pixels show points."""
     if not means:
         return 0.0
-    # Cut, a Gaussian is narrower: by a hundredth.
+    # The pixel filter is truncated, which makes its standard deviation 1 % smaller than that of the Gaussian.
     return _CELL_SIGMA_PER_SPACING / 2**level if level else _cut_deviation()
 
 
@@ -66,7 +67,7 @@ def _cut_deviation() -> float:
 
 @functools.cache
 def places_at(level: int, device: str) -> wp.array:
-    """Where the cells of a pixel lie, (right, down) of its centre [pixels], on the device of a name."""
+    """Return positions of a pixel's cells, (right, down) of its centre [pixels], as an array on the named device."""
     across = 2**level
     places = (np.arange(across) + 0.5) / across - 0.5
     down, right = np.meshgrid(places, places, indexing="ij")
@@ -75,15 +76,15 @@ def places_at(level: int, device: str) -> wp.array:
 
 @functools.cache
 def weights_at(level: int, means: bool, device: str) -> wp.array:
-    """Weights along one axis of the cells of three pixels in a row, for the one in the middle; their sum is 1.
+    """Return the weights of cells along one axis, from three pixels in a row, for the middle pixel; their sum is 1.
 
-    Together with the cells' own filters they are the pixel's.
+    The weights are such that the weighted sum of the cells' own filters is the pixel filter.
     """
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
 
 def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
-    """Weights of cells along one axis, (3 · 2ⁿ,): see :func:`weights_at`."""
+    """Return the weights of cells along one axis, shape (3 · 2ⁿ,): see :func:`weights_at`."""
     across = 2**level
     away = (np.arange(3 * across) + 0.5) / across - 1.5
     variance = FILTER_SIGMA**2 - deviation_at(level, means=means) ** 2
@@ -93,37 +94,38 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """By level, from 0 on, what the filter has in each of three pixels in a row over what weights have there, (n, 3).
+    """Return factors that normalise the weights of cells, one row per level from 0 on, shape (n, 3).
 
-    On the device of a name.
+    A factor is the filter's share in one of three pixels in a row over the sum of the weights there. The array is on
+    the named device.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # There are no weights of pixels that are not split.
+    # Level 0 has no cells; its row of ones is not used.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Pixels in parts whose cells take no more memory than there is to be."""
+    """Yield parts of a list of pixels, such that the rays of a part do not exceed ``_MOST_RASTERIZED``."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
 
 
 def slices(count: int, level: int, threads: int) -> Iterator[range]:
-    """Ranges of so many pixels whose cells are met at a time."""
+    """Yield ranges of pixels whose cells one thread processes together."""
     rays = rays_at(level)
     return slices_of(count, least=-(-_LEAST_RAYS // rays), most=MOST_RAYS // rays, threads=threads)
 
 
 def most_threads(pixels: int) -> int:
-    """How many threads the cells of so many pixels are worth, at most."""
+    """Return the largest number of threads that have enough work if a number of pixels is refined."""
     return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
 def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
-    """Pixels and the eight around each, as a mask of the picture, (height, width)."""
+    """Return a mask of pixels and the eight pixels around each, shape (height, width)."""
     wide = np.zeros((height + 2, width + 2), dtype=np.bool_)
     wide[pixels // width + 1, pixels % width + 1] = True
     rows = wide[:-2] | wide[1:-1] | wide[2:]
@@ -131,8 +133,8 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
 
 
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> structs.Cells:
-    """The struct ``Cells`` of the kernels for pixels of a picture of this size, one after the other."""
-    # Rows begin with words of their own.
+    """Return the struct ``Cells`` of the kernels for some pixels of a picture of this size."""
+    # In the bit mask, each row of pixels begins with a new 64-bit word.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
     ranks = np.empty(width * height, dtype=np.int32)
@@ -146,7 +148,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """The least luminance that errors are relative to, from how bright what is lit is."""
+    """Return the floor of relative errors: a small share of the luminance that few illuminated pixels exceed."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)
@@ -155,7 +157,7 @@ def floor_of(colours: wp.array, illuminated: wp.array) -> float:
 
 
 def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """‖ΔXYZ‖ between pixels and those of the four neighbours that differ most, (height, width)."""
+    """Return the largest ‖ΔXYZ‖ between each pixel and its four direct neighbours, shape (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
         steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)

@@ -1,4 +1,4 @@
-"""Pixel sampler: the pixels' own rays, under one lobe of one light at a time."""
+"""Pixel sampler: rays of whole pixels, as opposed to subpixel cells, under one lobe of one light at a time."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Limit of the samples per pixel whose directions are measured; cells of means that are measured in all, as these see
-# directions that pixels' centres do not, and their limit per pixel.
+# Limits of the rays whose directions are measured; time is proportional to them. If pixels show
+# points, at most ``_SAMPLES_MEASURED`` rays per pixel are measured. If pixels show means over footprints, about
+# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. Cells have directions
+# that pixel centres do not have.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """A lobe of one of a picture's passes."""
+    """Indices of a light pass and of one of its lobes."""
 
     light: int
     lobe: int
 
 
 class PixelSampler:
-    """The pixels' own rays: one sample of every pixel under one lobe; :meth:`scatter` fills its arrays.
+    """Samples of all pixels with one ray each under one lobe; :meth:`scatter` fills the arrays.
 
     Attributes:
-        samples: The last lobe at the hits of the last sample.
+        samples: Samples of the last lobe at the hits of the last ray of each pixel.
     """
 
     def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int) -> None:
@@ -53,12 +55,12 @@ class PixelSampler:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard hits and samples, as for another view."""
+        """Discard hits and samples, for example after a change of the view."""
         self._sample: int | None = None
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
-        """Set the passes of the lights; hits stay valid, and samples do not."""
+        """Set the passes of the lights. Hits of rays remain valid; samples of the previous lights do not."""
         self._passes, self._lobe = passes, None
         if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
             rays, device = self._context.rays.size, self._context.device
@@ -68,13 +70,13 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield the lobes of all passes whose directions are measured; without means these are all."""
+        """Yield the lobes of all passes whose directions are measured; if pixels show points, all are measured."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
 
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
-        """Return these rays as a batch that adds to sums; ``deviation`` is that of the filter [pixels]."""
+        """Return the pixels' rays as a batch that adds to ``sums``; ``deviation`` is the filter's, in pixels."""
         unserved_gain = self._no_gains if unserved_gain is None else unserved_gain
         return RayBatch(
             self._context.rays.gbuffer, self.samples, sums.xyz, sums.coverage, sums.illuminated, unserved_gain,
@@ -82,7 +84,7 @@ class PixelSampler:
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
-        """Find the hits of a sample of every pixel."""
+        """Trace the ray of sample number ``sample`` for every pixel."""
         self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
         self._sample = sample
 
@@ -93,10 +95,10 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Sample a lobe at the hits of a sample of every pixel, and add its pigment.
+        """Process a lobe at one sample of every pixel, and add the light of the pigment.
 
-        Nothing is done if the call before had the same sample and lobe. Rays are traced first, if their hits are those
-        of another sample.
+        The method does nothing if the previous call had the same sample and lobe. Rays are traced first if the present
+        hits are those of another sample.
         """
         if (self._sample, self._lobe) == (sample, index):
             return
@@ -104,14 +106,14 @@ class PixelSampler:
         count = samples_per_pixel or self._samples_per_pixel
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
-            # The number of rays that hit the mesh decides how shadow rays are traced, those of cells included.
+            # The estimated number of shadow rays, in proportion to the number of hits, decides how they are traced.
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # Each light finds its colours of means separately; hits count once.
+        # If pixels show means, each light has separate sums of colours, while hits are counted once.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
@@ -120,20 +122,20 @@ class PixelSampler:
         self._sample, self._lobe = sample, index
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Return the last scattering vectors, directions to the light and geometry factors."""
+        """Return scattering vectors, directions to the light and geometry factors of the last lobe."""
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
 
     def measure_directions(
         self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
     ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the range of all illuminated directions, some of them, and their number.
+        """Return the range of all illuminated directions, a sample of these directions, and their number.
 
-        This is a first pass over the rays, which takes a hundredth of the time of the colours.
+        The directions come from a separate pass over the rays, which takes about 1 % of the time of the colours.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())
-        # A few samples per pixel show what all do, and the own rays of many pixels what cells do.
+        # A few samples per pixel represent all samples, or several rays per pixel represent the subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -141,7 +143,7 @@ class PixelSampler:
             per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
         for sample in range(measured):
             for index in lobes:
-                # Means begin with the pixels' centres.
+                # If pixels show means, the first ray passes through the pixel centre, as in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 scattering_vectors, to_lights, gains = self.directions()
                 within = within.joined(

@@ -1,7 +1,7 @@
-"""Refinement: which pixels are subdivided into cells, to which level, and in which order.
+"""Refinement: selection of the pixels that are subdivided into cells, and of the level of each.
 
 One loop serves both kinds of device. A :class:`TileExecutor` shades the cells. On the CPU, the host lists the tiles of
-each level, reports progress and can be cancelled. A GPU lists them itself, as a recorded graph cannot ask the host.
+each level, reports progress and can be cancelled. A GPU lists tiles without the host, so that launches can be recorded.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import ColourLookup
 
-# Number of pixels per slice of a launch on the CPU (fitted: launches take a percent of the kernels' time).
+# Number of pixels per slice of a launch on the CPU. Fitted: launches then take 1 % of the kernels' time.
 SLICE = 32_768
 
 
 @dataclass(frozen=True)
 class RefinementPolicy:
-    """The rule by which pixels are subdivided.
+    """Rule by which pixels are subdivided.
 
     Attributes:
         tolerance: Tolerance of the picture.
-        least_level: Level that all pixels are subdivided to.
-        refine: Whether pixels are subdivided further where their estimated errors ask for it.
-        is_sampled: Whether cells are samples, which are too few at level 1 to tell how they scatter.
+        least_level: Level to which all pixels are subdivided.
+        refine: Whether pixels with larger estimated errors are subdivided further.
+        is_sampled: Whether each cell draws a direction to the light. Level 1 then has too few cells to estimate noise.
     """
 
     tolerance: float
@@ -55,7 +55,7 @@ class RefinementPolicy:
 
     @property
     def base_level(self) -> int:
-        """Level whose cells come first, and show which level each tile needs."""
+        """Level that is shaded first, and from which the level of each tile is selected."""
         return max(self.least_level, 2 if self.is_sampled else 1)
 
     @property
@@ -66,21 +66,21 @@ class RefinementPolicy:
 
     @property
     def silhouette_level(self) -> int:
-        """Level that pixels at silhouettes are subdivided to at least."""
+        """Least level of pixels at silhouettes."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
 @dataclass(frozen=True)
 class LightRefinement:
-    """One light of a picture whose pixels are refined: its colours by one ray per pixel, and the kernel calls.
+    """Light of a picture whose pixels are refined: its colours by one ray per pixel, and the kernel calls.
 
     Attributes:
         light_pass: The pass of the light.
-        lookup: The look-up of its colours.
-        batch: The pixels' own rays under its last lobe.
-        sums: Its colours, errors and illuminated pixels, before and after.
-        policy: The rule.
-        is_first: Whether it is the first light of the picture.
+        lookup: Look-up of the light's colours.
+        batch: The rays of whole pixels under the last lobe.
+        sums: Colours, errors and illuminated pixels of the light, which refinement updates.
+        policy: The rule of subdivision.
+        is_first: Whether this is the first light of the picture.
     """
 
     light_pass: LightPass
@@ -92,7 +92,7 @@ class LightRefinement:
 
     @property
     def buffer_kind(self) -> BufferKind:
-        """The arrays that cells require."""
+        """Kinds of arrays that the cells require."""
         context = self.light_pass.context
         return BufferKind(
             self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.is_sampled
@@ -100,12 +100,12 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays that the cells of a level set."""
+        """Arrays that ``resolve_pixels`` writes."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that estimates the error of every pixel by one ray, and marks those to subdivide."""
+        """Return the kernel call that estimates errors of pixels with one ray, and marks pixels for subdivision."""
         rays, policy = self.light_pass.context.rays, self.policy
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
@@ -115,7 +115,7 @@ class LightRefinement:
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
-        """Return the calls that trace and shade the cells in the buffers, and splat them to the pixels around."""
+        """Return kernel calls that trace and shade the cells in the buffers, and splat them to surrounding pixels."""
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
         sampling = Sampling()
@@ -132,7 +132,7 @@ class LightRefinement:
         return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
-        """Return the call that sets pixels to the sums of the cells around, with their errors."""
+        """Return the kernel call that sets pixels to weighted sums over the cells of nine tiles."""
         rays = self.light_pass.context.rays
         inputs = [
             group.sums, group.pixels, marks, rays.width, rays.height,
@@ -141,7 +141,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the call that selects finer levels of the tiles that have this level."""
+        """Return the kernel call that selects the final levels of the tiles that have this level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -169,13 +169,13 @@ class LightRefinement:
 
 @dataclass
 class TileGroup:
-    """Pixels that are subdivided together.
+    """Group of pixels that are subdivided together, with the tiles whose cells they use.
 
     Attributes:
-        pixels: Pixels to resolve; empty, on a GPU, is all of the picture.
-        tiles: The tiles; empty, on a GPU, is all of the picture that have a level.
-        sums: What their cells give, the struct ``FilteredSums`` of the kernels.
-        levels: By pixel of the picture, the level of its tile; 0 is none.
+        pixels: Pixels to resolve; empty, on a GPU, stands for the whole picture.
+        tiles: The tiles; empty, on a GPU, stands for all pixels that have a level.
+        sums: Sums over the cells of the tiles, the struct ``FilteredSums`` of the kernels.
+        levels: For each pixel of the picture, the level of its tile; 0 is no tile.
         share: Beginning and end of the group as shares of the light's progress.
     """
 
@@ -190,8 +190,9 @@ class TileExecutor(Protocol):
     """Executor that shades the tiles which the loop requests.
 
     Attributes:
-        floor: Luminance that errors are relative to at least, (1,).
-        marks: By pixel, whether it is active, converged or neither.
+        floor: Least luminance that errors are relative to, (1,).
+        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
+            neither (0).
     """
 
     floor: wp.array
@@ -199,32 +200,32 @@ class TileExecutor(Protocol):
 
     @property
     def count(self) -> int:
-        """Number of pixels that were subdivided, of the light of which these are most."""
+        """Number of pixels that were subdivided; under several lights, the largest number of a light."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Forget what tiles gave; if asked to, keep from now on what they give for finer tolerances."""
+        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light at a tolerance: find the floor."""
+        """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the groups of the marked pixels, whose tiles are those pixels and the ones around."""
+        """Yield the groups of the marked pixels; the tiles of a group are these pixels and the eight around each."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Shade the cells of a group's tiles of a level, and splat them to the pixels around."""
+        """Shade the cells of a group's tiles at a level, and splat the cells to surrounding pixels."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a call over the pixels or tiles of a group, or over the marks of the whole picture."""
+        """Launch a kernel call over the pixels or tiles of a group, or over all pixels of the picture."""
 
     def end(self, light: LightRefinement) -> None:
-        """End a light."""
+        """Finish the refinement of a light."""
 
 
 class RefinementLoop:
-    """The order in which the pixels of a picture are refined, light after light.
+    """Loop that refines the pixels of a picture, one light after the other.
 
     Attributes:
-        tiles: What shades the tiles.
+        tiles: Executor that shades the tiles.
     """
 
     def __init__(self, tiles: TileExecutor) -> None:
@@ -236,9 +237,9 @@ class RefinementLoop:
     ) -> None:  # fmt: skip
         """Refine a light: shade the base level, select the level of each tile, and shade those levels.
 
-        It is first refined to the larger tolerance of each preview, whose function is then called. Previews do not
-        change the final picture: each refinement begins from one ray per pixel, and reuses tiles that are shaded
-        already.
+        The light is first refined to the larger tolerance of each preview, and then the preview's callable is called.
+        Previews do not change the final picture: each refinement begins from one ray per pixel. Refinements reuse the
+        results of tiles that were shaded before.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
@@ -264,7 +265,8 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.is_sampled:
-                    # Without the filter, dark pixels next to bright ones would take too many cells.
+                    # Levels are selected from filtered colours. Without the filter, dark pixels next to bright ones
+                    # would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

@@ -1,4 +1,4 @@
-"""``Renderer``: pictures of one surface, one after the other."""
+"""``Renderer``: successive pictures of one surface, with lights and views that change."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ if TYPE_CHECKING:
 
 
 class Renderer:
-    """Pictures of a mesh whose surface carries a height field, under lights and views that change.
+    """Renderer for many pictures of a mesh whose surface carries a height field; lights and view may change.
 
-    Each is that of :func:`warpdiff.shade` with ``plan=renderer.plan``. What does not change is done once: the plan,
-    which is for light and view from anywhere, the mesh and the arrays, and what is seen, until the view changes. On a
-    GPU the launches of a picture are recorded, too, as a CUDA graph (with drivers from CUDA 12.4 on), which the next
-    one replays without the host; the colours stay where they are until they are asked for::
+    Each picture is that of :func:`warpdiff.shade` with ``plan=renderer.plan``. The plan, which covers light and view
+    from any direction, the prepared mesh and the arrays are computed once. Visible points are computed again only when
+    the view changes. On a GPU with drivers from CUDA 12.4 on, the launches of a picture are recorded as a CUDA graph.
+    The next picture replays the graph without the host. Colours remain on the device until you read them::
 
         renderer = warpdiff.Renderer(mesh, heightfield, light, view, device="cuda")
         while True:
             show(renderer.draw(view=next_view()))
 
-    Threads may draw at once: each has a picture of its own, which begins with the first lights and view, and neither
-    sees nor changes those of others. On a GPU, whose launches all go to one stream, they take turns.
+    Several threads may draw at the same time. Each thread has a separate picture, which begins with the first lights
+    and view. On a GPU, where all launches share one stream, threads wait for each other.
 
-    A renderer can be pickled, and draws the same pictures in another process: what it is made of and its plan go along,
-    tables are made there.
+    A renderer can be pickled, and draws the same pictures in another process. The pickle contains the inputs and the
+    plan; tables are computed again.
 
     Attributes:
-        plan: What is computed and why.
+        plan: The plan, which states what is computed and why.
 
     Examples:
         >>> import warpdiff as wd
@@ -81,10 +81,10 @@ class Renderer:
         self, mesh: Any, heightfield: HeightField, lights: Light | Sequence[Light], view: View,
         **settings: Unpack[PictureKeywords],
     ) -> None:  # fmt: skip
-        """Prepare pictures.
+        """Prepare pictures, and draw the first one.
 
-        The tolerance is met for directions all over the hemisphere, as those of the pictures are not known, under the
-        illuminants of these lights. The method ``"direct"`` is for single pictures.
+        The tolerance is met for directions over the whole hemisphere under the illuminants of these lights, as the
+        directions of later pictures are unknown. The method ``"direct"`` is only for single pictures.
 
         Args:
             mesh: As for :func:`warpdiff.shade`.
@@ -114,7 +114,7 @@ class Renderer:
         return result
 
     def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Do all that does not change; a look-up by the same plan brings its tables."""
+        """Make the plan, the tables and the picture; ``lookup`` has the tables of the same plan if they exist."""
         evaluation = inputs.evaluation
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
@@ -137,18 +137,18 @@ class Renderer:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
+        """Width and height of the pictures [pixels]."""
         return self._mine.view.width, self._mine.view.height
 
     def resized(self, view: View, *, refine: bool | None = None) -> Renderer:
-        """Another renderer of the same surface by the same plan and tables, for pictures of another size.
+        """Return another renderer of this surface, with the same plan and tables, for pictures of another size.
 
         Args:
-            view: The camera that it begins with.
+            view: Camera of the new renderer's first picture.
             refine: As in :func:`warpdiff.shade`; None keeps the setting of this renderer.
 
         Returns:
-            The other one, whose pictures are those that this one would draw of such views.
+            A renderer with the first lights, the plan and the tables of this one.
 
         Raises:
             MemoryError: More memory than is free; the message says what fits.
@@ -165,9 +165,9 @@ class Renderer:
         return _unpickled, (self.__getstate__(),)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what pictures depend on: settings, plan, height field, lights, surface and view."""
+        """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
-        # Another machine may have another number of cores.
+        # The default number of threads is not stored, as another machine may have another number of cores.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
@@ -191,11 +191,11 @@ class Renderer:
                 it raises cancels the picture; the next picture starts from scratch.
             previews: Callables by tolerances larger than the plan's. Each is called once the picture meets its
                 tolerance, and :meth:`image` then returns that picture. Previews reuse all work and do not change the
-                final picture. They have no effect on a GPU, or without refinement.
+                final picture. Previews have no effect on a GPU, or without refinement.
 
         Returns:
-            XYZ on the device, shape (height, width) of ``wp.vec3f``, which this thread's next picture overwrites. On a
-            GPU the array may not be ready yet; ``numpy()`` synchronises.
+            XYZ on the device, shape (height, width) of ``wp.vec3f``. This thread's next picture overwrites the array.
+            On a GPU the array may not be ready yet; ``numpy()`` synchronises.
 
         Examples:
             >>> import warpdiff as wd
@@ -223,10 +223,10 @@ class Renderer:
                 )
         with self._turn, picture_memory(mine.view):
             mine.is_drawn = False
-            # Lights that are refused leave the lights and the view before.
+            # If lights are refused here, the previous lights and view remain in use.
             mine.picture.set_lights(parts)
             mine.parts = parts
-            # The G-buffer stays valid while the view does.
+            # Hits remain valid until the view changes.
             if view is not None:
                 mine.view = view
                 mine.picture.set_view(view)
@@ -264,12 +264,12 @@ class Renderer:
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
     def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
-        """Return checked tolerances, the largest first, with the calls that each makes."""
+        """Check previews; return their tolerances, the largest first, each with a function that calls the callable."""
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # A callable may change the mapping of the caller.
+        # The mapping is copied, as a callable may change it.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:
@@ -303,14 +303,14 @@ class Renderer:
         mine.picture.render(self._lookup, tolerance=self.plan.tolerance, progress=progress, previews=previews)
 
     def _replay(self, mine: _ThreadPicture) -> None:
-        """Launch it as it was recorded, where the same launches will do."""
+        """Replay the recorded graph of a picture if it is still valid; otherwise draw once and record a new graph."""
         needed = mine.picture.graph_key
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
             return
-        # Arrays of the last one may go.
+        # The old graph is deleted first, as arrays that it uses may be freed.
         mine.graph = None
-        # A picture that ran once finds its kernels loaded and its arrays and tables made.
+        # The first launch loads kernels and makes arrays and tables, which must not be recorded.
         mine.picture.invalidate()
         self._launch(mine)
         mine.picture.invalidate()
@@ -320,23 +320,23 @@ class Renderer:
 
 
 def _unpickled(state: dict[str, Any]) -> Renderer:
-    """Return a renderer of a pickled state."""
+    """Return a renderer from a pickled state."""
     inputs = PictureInputs.of(state["heightfield"], state["lights"], state["view"], state["settings"])
     return Renderer._from_parts(inputs, state["surface"], state["view"])
 
 
 class _ThreadPicture(threading.local):
-    """A thread's picture, made when the thread first asks for it.
+    """Picture of one thread, made when the thread first uses it.
 
     Attributes:
-        picture: Its arrays.
+        picture: Arrays of the picture.
         parts: Parts of the last lights.
         view: The last view.
         is_drawn: Whether the picture is complete.
-        is_drawing: Whether it is being drawn.
-        tolerance: The tolerance that it meets.
-        graph: Its recorded CUDA graph.
-        graph_is_for: The key of the recorded graph.
+        is_drawing: Whether the picture is being drawn.
+        tolerance: Tolerance that the picture meets.
+        graph: Recorded CUDA graph of the picture.
+        graph_is_for: Key of the recorded graph.
     """
 
     def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
@@ -347,5 +347,5 @@ class _ThreadPicture(threading.local):
 
 
 def records(device: wp.Device) -> bool:
-    """Whether a device can record and replay a picture, whose loops end when no pixel is left to be split."""
+    """Return whether a device can record a picture as a graph with loops, which end when no tile is left."""
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

@@ -53,8 +53,8 @@ def shade(
 ) -> Image:  # fmt: skip
     """Render a mesh whose surface carries a height field.
 
-    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances, plus the pigment's share
-    where the mesh has a base colour. The mesh is visible from both sides.
+    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances. Where the mesh has a base
+    colour, the light of the pigment is added. The mesh is visible from both sides.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
@@ -122,7 +122,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     return picture.image(plan)
 
 
-# Memory of a picture of any kind while it is made [bytes], as measured.
+# Largest memory per pixel of a picture of any kind while it is computed [bytes]. Fitted: measured.
 _BYTES_PER_PIXEL = 210
 
 
@@ -131,10 +131,10 @@ class PictureInputs:
     """Checked inputs of pictures.
 
     Attributes:
-        evaluation: The evaluation that colours come from.
-        settings: The settings of the call.
+        evaluation: Evaluation that colours are computed by.
+        settings: Settings of the call.
         lights: The lights.
-        parts: The parts of the lights.
+        parts: Parts of the lights.
     """
 
     evaluation: Evaluation
@@ -199,10 +199,10 @@ class PictureInputs:
         return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """Return the explicit plan, or one for these directions; lights with an extent require one with a table.
+        """Return the given plan, or a plan for these directions; lights with an extent require a plan with a table.
 
-        Where no table meets the tolerance for single directions, lights get the best table. Skies, and lights that show
-        nothing but darkness to all directions of the sample, get the smallest one that is expected to suffice.
+        If no table meets the tolerance for lobes with an extent, the plan has the best table. Skies, and lights under
+        which all directions of the sample are dark, get the smallest table that is expected to suffice.
         """
         evaluation = self.evaluation
         request = evaluation
@@ -223,13 +223,13 @@ class PictureInputs:
         return evaluation.with_energy(plan)
 
     def refined(self, *, refine: bool) -> PictureInputs:
-        """Return these inputs with another choice of refinement, on which the parts of discs depend."""
+        """Return these inputs with or without refinement, which changes the parts of disc lights."""
         settings = replace(self.settings, refine=refine)
         return replace(self, settings=settings, parts=parts_of(self.lights, self.evaluation, refine=refine))
 
 
 def require_picture_memory(view: View, device: wp.Device) -> None:
-    """Refuse a picture that the host has no memory for."""
+    """Raise MemoryError before work starts if the host has too little memory for a picture."""
     if device.is_cpu:
         memory.require_memory(
             _BYTES_PER_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
@@ -238,7 +238,7 @@ def require_picture_memory(view: View, device: wp.Device) -> None:
 
 
 def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
-    """Return a context that names the picture where memory for it fails."""
+    """Return a context that turns failed allocations into a MemoryError with the picture's size and a remedy."""
     remedy = (
         f"take a smaller {ref('view')}, {ref('mesh')} or {ref('heightfield')}, fewer {ref('samples_per_pixel')}, or a "
         f"larger {ref('tolerance')}"
@@ -247,7 +247,7 @@ def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
 
 
 def warn_unconverged(image: Image) -> None:
-    """Warn of a picture that does not meet its tolerance."""
+    """Warn if a picture does not meet its tolerance."""
     report = image.report
     if report is not None and not report.is_converged:
         warn(
@@ -259,7 +259,7 @@ def warn_unconverged(image: Image) -> None:
 
 
 def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means: bool) -> None:
-    """Refuse lights with an extent where the coherence has one, or where pixels show no means over directions."""
+    """Raise an error for lights with an extent if the coherence has an extent, too, or if footprints are off."""
     if not any(part.has_extent for part in parts):
         return
     if coherence.kind == "source":
@@ -276,7 +276,7 @@ def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means
 
 
 def listed(lights: object) -> list[Light]:
-    """Return one or several lights as a list."""
+    """Return a list of one or several lights, whose number must not be 0."""
     several = [lights] if isinstance(lights, Light) else lights
     if not isinstance(several, Sequence) or not several:
         raise ArgumentTypeError(
@@ -287,10 +287,10 @@ def listed(lights: object) -> list[Light]:
 
 
 def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
-    """Return the parts of lights, which are checked; without refinement a disc is a single lobe where possible.
+    """Return the parts of lights, after checks; without refinement a disc is a single lobe where possible.
 
-    The lobes of all lights are one part, whose pixels are refined together: as errors of lights have the same causes,
-    those of lights that are refined one by one would add up.
+    The lobes of all lights form one part, whose pixels are refined together. Errors under several lights have the same
+    causes, so that they would add up if lights were refined separately.
     """
     result: list[LightPart] = []
     for index, light in enumerate(lights):

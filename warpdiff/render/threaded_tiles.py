@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Limit: number of pixels that are subdivided together; each of their tiles takes some 200 bytes.
+# Largest number of pixels that are subdivided together. Limit: each of their tiles takes about 200 bytes.
 _MOST_PIXELS = 1 << 17
 
 
 @dataclass
 class HostTileGroup(TileGroup):
-    """Pixels that are subdivided together, with what the host looks at.
+    """Group of pixels that are subdivided together, with arrays that the host reads.
 
     Attributes:
-        tile_indices: The tiles.
-        ranks: By pixel of the picture, its index in ``sums``.
-        host_levels: The array behind ``levels``.
+        tile_indices: The tiles, as indices of pixels.
+        ranks: For each pixel of the picture, its index in ``sums``.
+        host_levels: The same memory as ``levels``, as a NumPy array.
     """
 
     tile_indices: NDArray[np.int32]
@@ -43,22 +43,22 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Results of the cells of the tiles of a level, by index in ``sums``."""
+        """Return the arrays that the cells of a level's tiles fill, each by index in ``sums``."""
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
 class _ShadedTiles:
-    """Cache of tiles of a coarser tolerance; the same tiles have the same values for a finer one."""
+    """Cache of tiles that were shaded for a coarser tolerance; their results are valid for finer tolerances, too."""
 
     def __init__(self) -> None:
-        # By level: tiles, and what each gave.
+        # For each level: the tiles, and copies of the result arrays.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy what tiles gave before at a level; return which of them gave nothing."""
+        """Copy cached results of tiles at a level into the group; return a mask of the tiles without such results."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -72,26 +72,27 @@ class _ShadedTiles:
         return ~is_known
 
     def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
-        """Keep what the tiles of a group gave."""
+        """Store the results of a group's tiles at a level."""
         ranks = group.ranks[tiles]
         self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 
 
 class ThreadedTiles:
-    """Tile executor on the CPU; :meth:`begin` fills its arrays for one light.
+    """Tile executor on the CPU; :meth:`begin` makes the arrays for one light.
 
     Attributes:
-        count: Number of pixels that were subdivided, of the light of which these are most.
-        floor: Luminance that errors are relative to at least, (1,).
-        marks: By pixel, whether it is active, converged or neither.
+        count: Number of pixels that were subdivided; under several lights, the largest number of a light.
+        floor: Least luminance that errors are relative to, (1,).
+        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
+            neither (0).
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
-        """Prepare for pictures by these rays."""
+        """Prepare the executor for pictures with these camera rays."""
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Making buffers takes as long as thousands of look-ups.
+        # Buffers are kept, as allocating them takes as long as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 
@@ -99,11 +100,11 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Forget what tiles gave; if asked to, keep from now on what they give for finer tolerances."""
+        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light at a tolerance: find the floor by an exact percentile."""
+        """Begin the refinement of a light: compute the floor of relative errors from an exact percentile."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -111,20 +112,20 @@ class ThreadedTiles:
         self.marks = self._array(self._marked, wp.uint8)
 
     def end(self, light: LightRefinement) -> None:
-        """End a light, which needs nothing here."""
+        """Do nothing; only the executor on a GPU has work at the end of a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a call over pixels or tiles."""
+        """Launch a kernel call over pixels or tiles, in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups that memory is limited to."""
+        """Yield the marked pixels in groups, whose size is limited by memory."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):
             return
         if len(pixels) > _MOST_PIXELS:
-            # Tiles between groups see what the group before has changed.
+            # Results are not cached for several groups: each group changes colours that the next group starts from.
             self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))
@@ -134,7 +135,7 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # Pixels that need no cells use those that are there for the sake of others, where they have all of them.
+        # Pixels that require no cells use the tiles of other pixels if all nine of their tiles exist.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = subdivision.SHARED
@@ -152,7 +153,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of a group's tiles of a level, and splat them to the pixels around."""
+        """Shade the cells of a group's tiles at a level, and splat the cells to surrounding pixels."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

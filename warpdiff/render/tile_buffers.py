@@ -1,4 +1,4 @@
-"""Tile buffers: arrays for the rays of subpixel cells, tile after tile."""
+"""Tile buffers: arrays for the rays of subpixel cells, one tile after the other."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
 
 class BufferKind(NamedTuple):
-    """Kinds of arrays that tile buffers have.
+    """Flags for the optional arrays of tile buffers.
 
-    These are gains that a table excludes, base colours, gains of one of several materials, and gains by spectrum.
+    In this order they are: gains of directions that a table excludes, base colours, gains of one of several materials,
+    and gains by spectrum.
     """
 
     needs_sampling: bool
@@ -41,11 +42,11 @@ class TileBuffers:
     """Buffers for the rays of cells.
 
     Attributes:
-        gbuffer: Their hits.
-        samples: Their samples of the last lobe.
-        colours: Their colours.
+        gbuffer: Hits of the rays.
+        samples: Samples of the last lobe at the hits.
+        colours: Colours of the rays.
         unserved_gain: Geometry factors of directions that a table excludes.
-        tiles: By level, the pixels whose cells these are.
+        tiles: For each level, the pixels whose cells are in the buffers.
     """
 
     gbuffer: GBuffer
@@ -72,7 +73,7 @@ class TileBuffers:
         )
 
     def batch(self, level: int) -> RayBatch:
-        """Return the cells of a level as a batch of rays, which count no pixels."""
+        """Return the cells of a level as a batch of rays, without arrays for coverage and illuminated pixels."""
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
         return RayBatch(
@@ -82,15 +83,15 @@ class TileBuffers:
 
 
 class SharedTileBuffers:
-    """Tile buffers on the CPU, of which each thread takes a part: launches over a part are launches over all buffers.
+    """Tile buffers on the CPU, divided into parts; each thread uses one part at a time.
 
     Attributes:
-        buffers: All of them.
+        buffers: The whole buffers.
     """
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
-        """Make a number of parts."""
-        # Whole pixels of any level, and whole batches of look-ups.
+        """Allocate buffers with a number of parts."""
+        # The size of a part is a multiple of the cells of a pixel, at any level, and of a batch of look-ups.
         multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
         self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size
@@ -100,7 +101,7 @@ class SharedTileBuffers:
         self._colours = self.buffers.colours.numpy()
         samples = self.buffers.samples
         self._gains = [samples.gains.numpy(), samples.material_gains.numpy(), *samples.spectral_gains.numpy()]
-        # Appending to and taking from a list are atomic.
+        # Several threads use this list without a lock, as ``append`` and ``pop`` are atomic.
         self._free = [part * self._size for part in range(parts)]
 
     def shade(
@@ -112,10 +113,10 @@ class SharedTileBuffers:
         Args:
             level: The level.
             pixels: The pixels.
-            pipeline: The pipeline, which adds colours to zeros.
+            pipeline: The pipeline; its calls add colours to an array that is set to zero before.
             nearest: Nearest faces of the cells' rays.
-            threads: Number of threads, for each of which there is a part.
-            progress: Function of the share that is done; None is none.
+            threads: Number of threads, at most the number of parts.
+            progress: Callable that gets the share that is done; None reports nothing.
         """
         rays = refinement_levels.rays_at(level)
 
@@ -126,7 +127,7 @@ class SharedTileBuffers:
                 self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
                 self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
                 self._colours[first:end] = 0.0
-                # Look-ups take whole batches.
+                # Look-ups process whole batches, so that gains after the last ray must be 0.
                 for gains in self._gains:
                     gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))

@@ -24,18 +24,19 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Share of the image that a framed mesh fills along the narrower pair of edges. Limit: a margin of 4 % on each side.
+# Share of the narrower image dimension that a framed mesh fills. Choice: the margin is 4 % on each side.
 _FILLED = 0.92
-# Least distance of the eye from a framed mesh, over its radius. Limit: a line along the direction of view has no width.
+# Least distance of the eye from a framed mesh, in radii of the mesh. Limit: a mesh without extent, such as a line along
+# the viewing direction, would have distance 0.
 _LEAST_DISTANCE = 1e-2
 
 
 class ViewFrame(NamedTuple):
     """Origin and axes of a view.
 
-    A pixel's place on the image plane is x = half_width · (2 (column + 0.5) / width − 1) along ``right`` and
-    y = half_height · (1 − 2 (row + 0.5) / height) along ``up``. A perspective ray leaves ``origin`` along
-    x right + y up − back, an orthographic one leaves origin + x right + y up along −back.
+    A pixel's position along ``right`` is x = half_width · (2 (column + 0.5) / width − 1). The position along ``up`` is
+    y = half_height · (1 − 2 (row + 0.5) / height). A perspective ray starts at ``origin`` in the direction
+    x right + y up − back. An orthographic ray starts at origin + x right + y up in the direction −back.
 
     Attributes:
         origin: The eye, world frame, shape (3,).
@@ -43,7 +44,7 @@ class ViewFrame(NamedTuple):
         up: Unit vector to the top of the image, shape (3,).
         back: Unit vector from the target to the eye, shape (3,).
         half_width: Half the image's width: a tangent (perspective) or a length (orthographic).
-        half_height: Half the image's height, likewise.
+        half_height: Half the image's height, a tangent or a length as ``half_width``.
         orthographic: Whether the rays are parallel.
     """
 
@@ -60,8 +61,8 @@ class ViewFrame(NamedTuple):
 class View(Checked):
     """Camera: right-handed, it looks along its −z axis from ``eye`` to ``target``, with its +y axis up.
 
-    Pixels are square, their centres lie at +0.5, and row 0 is at the top. The camera is a perspective one;
-    :meth:`orthographic` makes the other kind, and :meth:`fit` frames a mesh.
+    Pixels are square, their centres are at +0.5, and row 0 is at the top. The camera is perspective;
+    :meth:`orthographic` makes an orthographic one, and :meth:`fit` frames a mesh.
 
     Attributes:
         eye: Position of the camera, world frame.
@@ -99,7 +100,7 @@ class View(Checked):
                 f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
                 f"got {self.width} × {self.height}"
             )
-        # Refuses what makes none.
+        # The frame is computed here to raise errors about eye, target and up now.
         self.frame()
 
     @classmethod
@@ -117,7 +118,7 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
         """
-        # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
+        # Annotated as Any, because the fields are tuples, and ``__post_init__`` converts array-likes to tuples.
         operands: Any = (eye, target, up)
         extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
@@ -140,8 +141,8 @@ class View(Checked):
             fov_y_deg: Vertical field of view [degrees], less than 180.
             width: Width of the image in pixels.
             height: Height of the image in pixels.
-            turning: Whether the mesh or the camera turns about the target, as in :func:`warpdiff.turntable`: all
-                pictures then hold the whole mesh, which is smaller in each.
+            turning: Whether the mesh or the camera turns about the target, as in :func:`warpdiff.turntable`. If so, the
+                whole mesh is visible in all pictures, and smaller in each.
 
         Raises:
             FileNotFoundError: The mesh file does not exist.
@@ -160,7 +161,7 @@ class View(Checked):
             back = front / np.linalg.norm(front) + 0.6 * above
         else:
             back = validation.directions(validation.vector(direction, "direction"), "direction")[0][0]
-        # Any: the fields hold tuples, and __post_init__ makes them from what it accepts.
+        # Annotated as Any, because the fields are tuples, and ``__post_init__`` converts array-likes to tuples.
         operands: Any = (back, up)
         view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
         validation.flag(turning, "turning")
@@ -168,12 +169,13 @@ class View(Checked):
         middle: Any = centre if target is None else validation.vector(target, "target")
         frame = view.frame()
         if turning:
-            # The narrower of the two fields of view holds the bounding sphere.
+            # The bounding sphere must fit in the narrower of the two fields of view.
             half = math.atan(min(frame.half_height, frame.half_width))
             reach = radius + math.dist(middle, centre)
             return replace(view, eye=middle + reach / math.sin(half) * frame.back, target=middle)
-        # A point is within the image if |x − cₓ| ≤ tₓ (d − z), and likewise along y. The least distance d of the eye
-        # follows from the largest x + tₓ z and the least x − tₓ z.
+        # An image has a centre cₓ and half a width tₓ, as a tangent. A point at depth z is inside it along x if |x −
+        # cₓ| ≤ tₓ (d − z). The least distance d of the eye follows from the largest x + tₓ z and the least x − tₓ z.
+        # The condition along y is similar.
         points = points + (centre - middle) / radius
         towards = points @ frame.back
         distance, moved = float(towards.max()) + _LEAST_DISTANCE, np.zeros(3)
@@ -215,6 +217,6 @@ class View(Checked):
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The vector product of two vectors, for which NumPy takes ten times as long."""
+    """Return the cross product of two vectors, in a tenth of the time of ``numpy.cross``."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

@@ -23,71 +23,71 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
-# Seed of the samples within a pixel; pictures are reproducible.
+# Seed of the random sample positions within pixels. Choice: any fixed number makes pictures reproducible.
 _SEED = 0
-# Numbers of pixels and of faces per slice of a launch on the CPU (fitted: a slice takes a thread about a millisecond).
+# Numbers of pixels and of faces per slice of a launch on the CPU. Fitted: a thread takes about 1 ms for a slice.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# A grid of faces pays from this many faces per shadow ray on (fitted: a face takes a fifth of the time in a grid that a
-# ray takes through the hierarchy, and a ray in the grid a quarter).
+# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted relative to a ray through
+# the hierarchy: adding a face to a grid takes a fifth of the time. A ray through a grid takes a quarter.
 _FACES_PER_RAY = 3
-# Approximate size of a grid per face [bytes], and limit of the size of all grids of a light, which exist at once
-# [bytes]. With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
+# Approximate size of a grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory. With 100
+# lobes, for example, grids are used for meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
 class CameraRays:
-    """Rays through the pixels of a picture of a surface; the device finds their hits through a hierarchy.
+    """Rays through the pixels of a picture of a surface, which find their hits through a hierarchy of faces.
 
     Attributes:
         surface: The surface.
         scene: The surface's arrays on the device.
-        view: The last view.
-        camera: The last view as the struct ``Camera`` of the kernels.
-        width: Number of pixels per row, with those of the margin.
-        height: Number of rows, likewise.
-        size: Number of pixels.
+        view: The present view.
+        camera: The present view as the struct ``Camera`` of the kernels.
+        width: Number of pixels per row, including the margin.
+        height: Number of rows, including the margin.
+        size: Number of pixels, including the margin.
         options: Device and number of threads of launches.
-        gbuffer: The hits of the pixels' own rays, which :meth:`trace` fills.
-        may_be_occluded: Whether the mesh could hide a light from any point that the view shows.
+        gbuffer: Hits of one ray per pixel, which the calls of :meth:`trace` compute.
+        may_be_occluded: Whether the mesh could occlude a light from any visible point.
     """
 
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Prepare the rays of a view, and of later views of the same size; arguments are as for :func:`rays_for`."""
+        """Prepare the rays of a view, and of later views of the same size; for the arguments see :func:`rays_for`."""
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height
         self.scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
-        # Positions of a sample in each pixel; empty is the pixels' centres.
+        # Positions of one sample in each pixel. An empty array stands for pixel centres.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
         self.gbuffer = GBuffer.allocate(self.size, coloured=surface.has_base_colour, device=device)
         self.set_view(view)
 
     def set_view(self, view: View) -> None:
-        """Set the view, of the same size as any before."""
+        """Set the view, which must have the same size in pixels as the previous one."""
         self.view = view
         self.camera = device_mesh.camera(view, self.surface, axes=self._axes, margin=self._margin)
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Compute the positions of one of several samples per pixel, and return the calls that trace them."""
+        """Place one of several samples in each pixel, and return the kernel calls that trace the rays."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
-        """Launch calls over the pixels' own rays."""
+        """Launch kernel calls for one ray per pixel."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that find hits of rays, and the shading frames there."""
+        """Return the kernel calls that compute the hits of rays and the shading frames at the hits."""
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
         return [trace, *self._known_face_calls(sampling, gbuffer)]
 
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that intersect rays with the faces that are known to be nearest."""
+        """Return the kernel calls that intersect each ray with its nearest face, which is already known."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         return [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
@@ -95,7 +95,7 @@ class CameraRays:
         ]
 
     def _sampling(self, sample: int, samples: int) -> Sampling:
-        """Return the positions of a sample of every pixel; a single one is in the centre."""
+        """Return a struct with the position of one sample in each pixel; a single sample is in the centre."""
         sampling = Sampling()
         if samples > 1:
             if not len(self._offsets):
@@ -112,34 +112,34 @@ class CameraRays:
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
     ) -> list[ShadowGrid]:
-        """Return the structs ``ShadowGrid`` for shadow rays to lights; these use the hierarchy.
+        """Return a struct ``ShadowGrid`` for each light, without a grid, so that shadow rays use the hierarchy.
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
-            shadow_rays: Function that counts the shadow rays to each light.
+            shadow_rays: Function that returns the number of shadow rays per light.
         """
         return [no_grid(self.scene) for _ in to_lights]
 
 
 class RasterizedRays(CameraRays):
-    """Camera rays on the CPU: rasterization finds the nearest face of each ray beforehand.
+    """Camera rays on the CPU, where rasterization finds the nearest face of each ray.
 
-    Rasterizing takes a quarter of the time that a hierarchy takes there, so that this class stays apart.
+    Rasterization takes a quarter of the time of a hierarchy on the CPU, but requires the host.
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Rasterize one of several samples per pixel, and return the calls that find its hits."""
+        """Rasterize one of several samples per pixel, and return the kernel calls that compute the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
         return self.calls(sampling, self.gbuffer)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the calls that find hits of rays whose nearest faces are known, and the shading frames there."""
+        """Return the kernel calls that compute hits on the known nearest faces, and the shading frames at the hits."""
         return self._known_face_calls(sampling, gbuffer)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
-        """Return the nearest faces of the cells of a number of pixels, pixel after pixel."""
+        """Return the nearest face of each cell for a number of pixels, all cells of a pixel together."""
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
@@ -154,7 +154,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return grids of faces if they save time and fit in memory, otherwise grids that use the hierarchy."""
+        """Return grids of faces if they save time and fit in memory, otherwise structs that use the hierarchy."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         return [
@@ -169,14 +169,14 @@ def rays_for(
     surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool = False,
     device: wp.Device, threads: int,
 ) -> CameraRays:  # fmt: skip
-    """Return the rays that suit a device.
+    """Return camera rays of the class that is faster on a device.
 
     Args:
         surface: The surface.
         view: The first view.
         smooth: Whether vertex normals are interpolated.
         margin: Number of additional pixels on each side.
-        device_driven: Whether the CPU, too, finds hits without the host, so that launches can be recorded.
+        device_driven: Whether launches need no host on the CPU, too, so that they can be recorded.
         device: The Warp device.
         threads: Number of threads on the CPU.
     """

@@ -1,4 +1,4 @@
-"""Meshes and cameras on a Warp device, in the structs of the ray kernels."""
+"""Meshes and cameras on a Warp device, in the structs that kernels read."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Number of faces per leaf of a hierarchy on the CPU. Limit: other values change the time of rays, not their hits.
+# Number of faces per leaf of a hierarchy on the CPU. Choice: other values change the time of rays, not their hits.
 _LEAF = 4
-# A hierarchy is built once, by one thread.
+# Lock that prevents two threads from building the same hierarchy.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Number of cached grids, for the last lights. Limit: memory.
+# Number of cached occluder grids per mesh, for the lights used last. Limit: a grid takes about 72 bytes per face.
 _MOST_GRIDS = 4
 
 
 class SceneArrays:
-    """A :class:`~warpdiff.scene.mesh_import.Surface` on a device.
+    """Arrays of a :class:`~warpdiff.scene.mesh_import.Surface` on a device.
 
-    The kernels know the mesh only by its number, so this object must outlive every launch that uses it.
+    Kernels get only the id of the mesh, so that this object must outlive every launch that uses it.
 
     Attributes:
         bare: The struct for kernels; it has a hierarchy after the first call of :meth:`with_hierarchy`.
         face_count: Number of faces.
-        grids: The last lights' grids for shadow rays.
+        grids: Cache of occluder grids by light direction.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
-        """Copy the arrays to the device; unless ``smooth``, every face shows its own normal, not the vertices'."""
+        """Copy the arrays to the device; without ``smooth``, faces have their geometric normals."""
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
         for name, values, dtype in (
@@ -57,10 +57,10 @@ class SceneArrays:
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self) -> SurfaceArrays:
-        """Return the struct with a hierarchy, which is built once."""
+        """Return the mesh as a struct for kernels, with a hierarchy of faces that the first call builds."""
         with _once:
             if self._mesh is None:
-                # On the CPU this constructor takes half the time of the default one.
+                # On the CPU, cubQL builds a hierarchy in half the time of Warp's default constructor.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
                     points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
@@ -71,15 +71,15 @@ class SceneArrays:
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
-    """Return the cached arrays of a surface."""
+    """Return the arrays of a surface on a device, from a cache."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
 
 def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
-    """The :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
+    """Return the struct :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
-    It has a ``margin`` of so many more pixels on each side. Its ``axes``, (5,) of ``wp.vec3d``, are set.
+    The camera covers ``margin`` more pixels on each side. The function fills ``axes``, (5,) of ``wp.vec3d``.
     """
     frame = view.frame()
     result = Camera()
@@ -98,14 +98,14 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
-    """Return whether any visible point could be shadowed; on a convex body viewed from outside none can."""
+    """Return whether a visible point may be in shadow; on a convex body viewed from outside, none is."""
     if not surface.is_convex:
         return True
     frame = view.frame()
     eye = (frame.origin - surface.centre) / surface.radius
     vertices = surface.vertices.astype(np.float64)
     if frame.orthographic:
-        # Rays leave from a plane, which must not cut the body.
+        # Orthographic rays start on a plane, which must not cut the body.
         return bool(np.max(vertices @ frame.back) > eye @ frame.back)
     a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
     return not np.any(np.einsum("ij,ij->i", np.cross(b - a, c - a), eye - a) > 0.0)

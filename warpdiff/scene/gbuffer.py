@@ -1,4 +1,4 @@
-"""G-buffers: hits of rays and the shading frames there, without any light."""
+"""G-buffers: hits of rays and the shading frames at the hits, independent of lights."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import warp as wp
 
 from warpdiff.kernels.structs import Pixels
 
-# Fields of the struct that hold a vector for each ray.
+# Fields of the struct ``Pixels`` that have a vector for each ray.
 _VECTORS = ("tangent", "bitangent", "normal", "to_view", "shadow_origin")
 
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Hits of rays; the kernel calls of :class:`~warpdiff.scene.camera_rays.CameraRays` fill it.
+    """Hits of rays; the kernel calls of :class:`~warpdiff.scene.camera_rays.CameraRays` fill the arrays.
 
     Attributes:
         pixels: The struct ``Pixels`` of the kernels, whose arrays have one entry per ray.
@@ -25,7 +25,7 @@ class GBuffer:
 
     @classmethod
     def allocate(cls, rays: int, *, coloured: bool, device: wp.Device) -> GBuffer:
-        """Return the arrays for a number of rays, with base colours if ``coloured``."""
+        """Return uninitialised arrays for a number of rays, with base colours if ``coloured``."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -40,5 +40,5 @@ class GBuffer:
 
     @property
     def hit_count(self) -> int:
-        """The number of rays that hit the mesh, which the host reads from the device."""
+        """Number of rays that hit the mesh; the host reads the hits from the device."""
         return int(np.count_nonzero(self.pixels.hit.numpy()))

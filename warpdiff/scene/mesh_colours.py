@@ -1,4 +1,4 @@
-"""Colours of meshes: textures and plain colours of materials in linear RGB."""
+"""Colours of meshes: textures and uniform colours of materials in linear RGB."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DAMAGE = "warpdiff:damage"
 
 
 def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.float64] | None]:
-    """Return a material's texture, (h, w, 3), and its plain colour, (3,), in linear RGB, each where defined."""
+    """Return a material's texture, (h, w, 3), and its uniform colour, (3,), in linear RGB; None where undefined."""
     from trimesh.visual import DEFAULT_COLOR
     from trimesh.visual.material import PBRMaterial, color_image
 
@@ -35,7 +35,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
         return (texture * linear).astype(np.float32), None
     image = getattr(material, "image", None)
     if image is not None:
-        # For a mesh without a material, trimesh makes a texture of a few grey pixels.
+        # trimesh adds a texture of 2 × 2 grey pixels to a mesh without a material; it is ignored here.
         invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
         texture = None if invented else _image(image)
         if invented or texture is not None:
@@ -48,16 +48,16 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
 
 
 def _image(image: Image.Image) -> NDArray[np.float32] | None:
-    """A PIL image in linear RGB, shape (h, w, 3); ``None`` where it is damaged."""
+    """Return a PIL image in linear RGB, shape (h, w, 3), or None with a warning if it is damaged."""
     if damage := _damage(image):
         texture = image.info.get("file_path") or "an image"
         warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
         return None
     if image.mode.startswith("I"):
-        # 16-bit grey; converting it to RGB would clip at 255.
+        # The image has 16-bit grey values; Pillow's conversion to RGB would clip them at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # A table of 256 values avoids the transfer function of every pixel, which would take most of the time.
+    # Applying the sRGB transfer function to 256 values once, instead of to every pixel, saves most of the time.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 
@@ -69,6 +69,6 @@ def _damage(image: Image.Image) -> str:
             image.load()
             image.info[_DAMAGE] = ""
         except Exception as error:
-            # Decoders raise errors of any type, and a second attempt may pass with a partial image.
+            # Image decoders raise errors of any type. A second attempt may return a partial image without an error.
             image.info[_DAMAGE] = str(error) or type(error).__name__
     return str(image.info[_DAMAGE])

@@ -1,4 +1,4 @@
-"""Mesh files: read by trimesh, with warnings about files that they refer to and that cannot be read."""
+"""Mesh files, read by trimesh, with warnings about referenced files that cannot be read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def load(path: str | os.PathLike[str]) -> trimesh.Scene:
-    """Read a mesh file and the files that it refers to in its own folder; files elsewhere are not opened.
+    """Read a mesh file and the files that it refers to in the same folder; files elsewhere are not opened.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -34,16 +34,16 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     contents: dict[str, bytes] = {}
     reasons: dict[str, str] = {}
     try:
-        # process=False: merging vertices would tear the texture along its seams.
+        # process=False prevents trimesh from merging vertices, which would break the texture along its seams.
         scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, contents, reasons))
     except Exception as error:
-        # trimesh's loaders raise errors of any type.
+        # Loaders of trimesh raise errors of any type.
         raise ArgumentValueError(
             f"{ref('mesh')} must be a file that trimesh can read, got {str(file)!r}, which is damaged, truncated or of "
             f"another format: {error}"
         ) from error
     if file.suffix.lower() == ".stl":
-        # trimesh merges vertices of several bodies regardless, so that their faces would be smooth.
+        # For STL files with several bodies, trimesh merges vertices anyway, which would make the faces smooth.
         for geometry in scene.geometry.values():
             geometry.unmerge_vertices()
     for name, data in contents.items():
@@ -53,7 +53,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     for name, reason in reasons.items():
         warn(f"{ref('mesh')}: {str(file)!r} refers to {name!r}, which is ignored: {reason}")
     for image in _images(scene):
-        # Where it is found to be damaged once it is decoded: OBJ files' images tell their names themselves.
+        # Later warnings about damaged images name the image's file. Images of OBJ files have ``file_path`` already.
         stream = getattr(image, "fp", None)
         content = stream.getvalue() if isinstance(stream, io.BytesIO) else None
         names = [name for name, data in contents.items() if data == content]
@@ -62,7 +62,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
 
 
 def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> FilePathResolver:
-    """Return a resolver of a mesh's files that records their ``contents``, or the ``reasons`` why they are missing."""
+    """Return a resolver of referenced files that records their ``contents``, or ``reasons`` why they are missing."""
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]
@@ -98,7 +98,7 @@ def _why_no_image(name: str, data: bytes) -> str:
 
 
 def _images(scene: trimesh.Scene) -> Iterator[Image.Image]:
-    """Yield the images of base colours of a scene."""
+    """Yield the base-colour images of a scene."""
     for geometry in scene.geometry.values():
         material = getattr(getattr(geometry, "visual", None), "material", None)
         for name in ("image", "baseColorTexture"):

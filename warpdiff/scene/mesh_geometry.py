@@ -1,7 +1,7 @@
 """Normals, tangents and convexity of a mesh, from its vertices, faces and texture coordinates.
 
-Vectors are stored by component, (3, n), and faces by corner, (3, m): NumPy is several times faster along rows than
-across them.
+Vectors are stored by component, (3, n), and faces by corner, (3, m), because NumPy is several times faster along rows
+than across them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from warpdiff.core.wording import ArgumentValueError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A face is flat to a line where twice its area is below this share of its longest edge squared.
+# A face counts as having no area if twice its area is at most this share of its longest edge squared. Choice: normals
+# of narrower faces are unreliable.
 ZERO_AREA = 1e-9
-# Vertices closer than this share of the mesh's radius are at one position.
+# Vertices closer than this distance [radii of the mesh] count as being at one position. Choice: above float32 rounding.
 WELD = 1e-6
-# Tangents on two sides of a seam are joined within this angle.
+# Cosine of the largest angle between tangents on two sides of a texture seam that are averaged: 30°. Choice: tangents
+# with larger angles remain separate.
 SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
@@ -29,14 +31,14 @@ class FaceGeometry:
     """Edges, areas, normals and angles of faces, each computed once.
 
     Attributes:
-        edges: From each corner to the next one, shape (3, 3, m): component, corner, face.
-        cross: First edge × second edge, shape (3, m).
-        twice_area: Its length, shape (m,).
+        edges: Edges from each corner to the next one, shape (3, 3, m): component, corner, face.
+        cross: Cross product of the first edge and the second, shape (3, m).
+        twice_area: Length of ``cross``, shape (m,).
         products: Scalar products of the two sides that meet at each corner, shape (3, m).
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Work out the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
+        """Compute the edges of ``faces``, shape (3, m), between ``vertices``, shape (3, n)."""
         self.edges = np.empty((3, *faces.shape))
         for edges, component in zip(self.edges, vertices, strict=True):
             corners = component.take(faces)
@@ -48,15 +50,15 @@ class FaceGeometry:
 
     @property
     def has_area(self) -> NDArray[np.bool_]:
-        """Whether a face is more than a line or a point, shape (m,)."""
-        # The square of a side is the sum of the products at its ends.
+        """Whether each face has more area than a line or a point, shape (m,)."""
+        # The square of a side is the sum of the products at its two ends.
         at = self.products
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
 
     @forks.cached_property
     def normals(self) -> NDArray[np.float64]:
-        """Unit normals on the side from which corners run counter-clockwise, shape (3, m); zero without an area."""
+        """Unit normals, shape (3, m), towards the side with counter-clockwise corners; zero for faces without area."""
         return np.asarray(self.cross / np.where(self.twice_area > 0.0, self.twice_area, 1.0))
 
     @forks.cached_property
@@ -65,21 +67,21 @@ class FaceGeometry:
         return np.asarray(np.arctan2(self.twice_area, self.products))
 
     def angle_weighted_normals(self, faces: NDArray[np.int64], count: int) -> NDArray[np.float64]:
-        """Sums of the normals of the faces at each of ``count`` vertices by their angles there, shape (3, count)."""
+        """Return the sums of face normals at each of ``count`` vertices, weighted by corner angles, (3, count)."""
         return np.stack([sum_at(faces, self.angles * normal, count) for normal in self.normals])
 
 
 class TextureGeometry:
-    """Edges and orientation of faces in the texture.
+    """Edges and orientation of faces in texture coordinates.
 
     Attributes:
-        one: From the first corner to the second, shape (2, m).
-        two: From the first corner to the third, shape (2, m).
-        orientation: 1, −1 where the texture is mirrored, 0 where the face has no area in it, shape (m,).
+        one: Edge from the first corner to the second, shape (2, m).
+        two: Edge from the first corner to the third, shape (2, m).
+        orientation: 1; −1 where the texture is mirrored; 0 where a face has no area in the texture, shape (m,).
     """
 
     def __init__(self, uvs: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        """Work out the edges of ``faces``, shape (3, m), between ``uvs``, shape (2, n)."""
+        """Compute the edges of ``faces``, shape (3, m), between ``uvs``, shape (2, n)."""
         corners = uvs.take(faces, axis=1)
         self.one = corners[:, 1] - corners[:, 0]
         self.two = corners[:, 2] - corners[:, 0]
@@ -89,7 +91,7 @@ class TextureGeometry:
         self.orientation[~(np.abs(determinant) > ZERO_AREA * longest_squared)] = 0.0
 
     def mirrored(self, faces: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-        """Where the texture is mirrored, shape (m,); faces without an area in it follow their neighbours."""
+        """Return where the texture is mirrored, shape (m,); faces without texture area follow their neighbours."""
         mirrored = self.orientation < 0.0
         unknown = self.orientation == 0.0
         if unknown.any():
@@ -99,17 +101,17 @@ class TextureGeometry:
 
 
 def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scalar products of vectors stored by component."""
+    """Return scalar products of vectors stored by component."""
     return np.asarray(np.einsum("i...,i...->...", a, b))
 
 
 def length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of vectors stored by component."""
+    """Return lengths of vectors stored by component."""
     return np.asarray(np.sqrt(dot(vectors, vectors)))
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors at unit length; those that are zero but for rounding become zero."""
+    """Return vectors at unit length; vectors that are zero within rounding become zero."""
     size = length(vectors)
     zero = ~(size > 1e-9)
     size[zero] = 1.0
@@ -119,17 +121,17 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The part of each vector at right angles to the unit normal."""
+    """Return the part of each vector that is perpendicular to the unit normal."""
     return np.asarray(vectors - dot(vectors, normals) * normals)
 
 
 def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Sums of ``values`` by ``index``, of the same shape, shape (count,)."""
+    """Return sums of ``values`` over equal entries of ``index``, shape (count,)."""
     return np.asarray(np.bincount(index.ravel(), values.ravel(), count))
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of 0 … count − 1 that occur, in order, and the indices among these."""
+    """Return which of the numbers 0 … count − 1 occur in ``indices``, sorted, and ``indices`` renumbered by them."""
     is_used = np.zeros(count, dtype=np.bool_)
     is_used[indices] = True
     if is_used.all():
@@ -138,9 +140,9 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """A number for each vertex, the same for those at one position, and the vertices in this order, (n,) each."""
+    """Return a position number for each vertex, equal at equal positions, and the vertices sorted by it, (n,) each."""
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
-    # The unit sphere's cells fit in 21 bits an axis and sign: one integer sorts faster than rows.
+    # The cell of a vertex has a number of 21 bits per axis. Sorting one integer per vertex is faster than sorting rows.
     key = (x * 2**21 + y) * 2**21 + z
     order = np.argsort(key)
     key = key[order]
@@ -152,11 +154,12 @@ def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.i
 def vertex_normals(
     geometry: FaceGeometry, faces: NDArray[np.int64], welded: NDArray[np.int64], own: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Unit vertex normals, shape (3, n): given ones, on the side that the winding faces, else computed ones."""
+    """Return unit vertex normals, shape (3, n): the mesh's own normals, and computed ones where these are missing."""
     beside = geometry.angle_weighted_normals(faces, len(welded))
     if own is not None:
         own = unit(np.nan_to_num(own))
-        # The vertex's own faces tell its side: under an overhang most of those at its position look the other way.
+        # A given normal is reversed if it is opposite to the faces of this vertex. Faces of other vertices at the same
+        # position are not used, as under an overhang most of them have opposite normals.
         own = np.where(dot(own, beside) < 0.0, -own, own)
         missing = ~own.any(axis=0)
         if not missing.any():
@@ -164,7 +167,8 @@ def vertex_normals(
     count = int(welded.max()) + 1
     total = np.stack([sum_at(welded, component, count) for component in beside])
     weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
-    # Two faces back to back cancel out at a welded vertex but not at their own vertices.
+    # Normals of two faces back to back add up to zero at their common position. Each vertex there uses the sum over
+    # its own faces.
     cancelled = (length(total) <= 1e-6 * weight)[welded]
     computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
     return computed if own is None else np.where(missing, computed, own)
@@ -173,12 +177,12 @@ def vertex_normals(
 def tangents_from_uvs(
     geometry: FaceGeometry, texture: TextureGeometry, faces: NDArray[np.int64], normals: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """∂P/∂u, angle-weighted over the faces of each vertex, shape (3, n)."""
+    """Return tangents ∂P/∂u at vertices: means over the faces of each vertex, weighted by angles, shape (3, n)."""
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # Each face's direction counts by what it is at unit length in the vertex's tangent plane, so that curvature does
-    # not shorten its share. What lies along the normal is taken off the sum.
+    # Each face's direction has unit length in the vertex's tangent plane, so that curvature does not reduce its weight.
+    # The component along the normal is removed from the sum.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)
@@ -191,14 +195,14 @@ def tangents_from_uvs(
 def join_seams(
     field: NDArray[np.float64], welded: NDArray[np.int64], order: NDArray[np.int64], handedness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Add to each vertex's tangent those of the vertices at its position that agree in direction and handedness."""
+    """Add to each vertex's tangent the similar tangents of other vertices at its position with equal handedness."""
     count = len(order)
     ends = np.cumsum(np.bincount(welded))
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
-    # Vertices at one position are neighbours in this order: compare each with the next, the one after that, …, as many
-    # at once as keep pairs fewer than vertices.
+    # In ``order``, vertices at one position are consecutive. Each vertex is compared with the next one, the one after
+    # that, and so on. A pass makes several of these comparisons, but at most about as many pairs as vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))
@@ -218,7 +222,7 @@ def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
     name: str,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Give vertices without a tangent the mean of their neighbours', ring by ring."""
+    """Return tangents where vertices without one get the mean of their neighbours, ring after ring."""
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
         return field
@@ -240,7 +244,7 @@ def fill(
         if not new.any():
             break
         at += new
-    # Vertices that no neighbour reaches get the mean of the whole mesh.
+    # Vertices without any connected neighbour get the mean tangent of the whole mesh.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 
@@ -248,7 +252,7 @@ def fill(
 def _sides_of_edges(
     faces: NDArray[np.integer[Any]], welded: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """The two faces' places of each edge of a closed mesh, along which they run in opposite directions; else None."""
+    """Return both sides of each edge as indices into flat ``faces``, or None if the mesh is not a closed manifold."""
     start = welded.take(faces)
     end = start[[1, 2, 0]]
     edges = (np.minimum(start, end) * (int(welded.max()) + 1) + np.maximum(start, end)).ravel()
@@ -262,9 +266,10 @@ def _sides_of_edges(
 
 
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
-    """Whether the faces bound bodies, and are wound counter-clockwise as seen from outside of each.
+    """Return whether the faces bound bodies, with corners counter-clockwise as viewed from outside of each.
 
-    That is: as many go along each edge in the one direction as in the other. What a line from outside enters it leaves.
+    In a closed mesh, equally many faces run along each edge in either direction. A line that enters a body also leaves
+    it.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)
@@ -283,9 +288,9 @@ def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) ->
 def is_convex(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], outward: NDArray[np.float64], welded: NDArray[np.int64]
 ) -> bool:
-    """Whether the faces, of normals ``outward``, lie in a plane or bound one convex body.
+    """Return whether the faces, with normals ``outward``, are in a plane or bound one convex body.
 
-    That is: closed, bent outwards at every edge, and a sphere by Euler's count.
+    A convex body is closed, bent outwards at every edge, and has the Euler characteristic of a sphere.
     """
 
     def heights_over(face: int) -> NDArray[np.float64]:
@@ -294,7 +299,7 @@ def is_convex(
 
     if np.all(np.abs(heights_over(0)) <= 1e-6):
         return True
-    # Most bodies are not convex, and a few faces show it: other vertices lie above them.
+    # Most bodies are not convex. Usually a few faces prove this, as other vertices are above their planes.
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False
@@ -302,7 +307,7 @@ def is_convex(
     if both is None or int(welded.max()) + 1 - len(both[0]) + number != 2:
         return False
     one, other = both
-    # The face beyond each edge must not rise above the plane of the one on this side.
+    # A convex body requires at each edge that the neighbouring face does not rise above the plane of this face.
     level = dot(outward, vertices.take(faces[0], axis=1))
     opposite = faces[[2, 0, 1]].ravel()
     for here, beyond in ((one, other), (other, one)):

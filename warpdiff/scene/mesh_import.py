@@ -1,6 +1,6 @@
 """Import of triangle meshes: normals, tangents and base colours at the vertices.
 
-Every mesh becomes a :class:`Surface`: plain float32 arrays, only faces that have an area, only vertices of faces.
+Every mesh becomes a :class:`Surface` of float32 arrays. Faces without area and vertices without a face are removed.
 """
 
 from __future__ import annotations
@@ -44,30 +44,31 @@ HOW_TO_GET_TANGENTS = (
     "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
 )
 
-# Labels of geometries begin with it.
+# Prefix of the labels of geometries in messages.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh for the ray kernels, of n vertices and m faces; every face has an area, and every vertex a face.
+    """Prepared mesh of n vertices and m faces; every face has an area, and every vertex belongs to a face.
 
     Attributes:
         vertices: Positions in the unit sphere, (world − ``centre``) / ``radius``, shape (n, 3), float32.
-        faces: Vertex indices, counter-clockwise as seen from the front, shape (m, 3), int32.
+        faces: Vertex indices, counter-clockwise as viewed from the front, shape (m, 3), int32.
         normals: Unit vertex normals, shape (n, 3), float32; zero where no direction is defined.
-        tangents: Unit vectors along the height field's x axis, at right angles to the normals, shape (n, 3), float32.
-        handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; one value a face.
-        uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where there are none.
-        texture: Linear RGB, row 0 at v = 1, shape (h, w, 3), float32; 1 × 1 for a plain colour, black for none.
-        vertex_colours: Linear RGB, shape (n, 3), float32; negative at the vertices where ``texture`` is meant;
-            ``None`` where that is all of them.
-        has_base_colour: Whether the mesh came with a colour of any kind.
-        geometries: Which of the mesh's geometries a face belongs to, shape (m,), int32.
-        geometry_names: Their names in a scene; of a mesh alone, one that is empty.
-        is_convex: Whether the mesh bounds a convex body or lies in a plane, so that nothing on its outside is shadowed.
-        centre: The origin of ``vertices``, world frame, shape (3,), float64.
-        radius: The unit of ``vertices``, in the mesh's unit.
+        tangents: Unit vectors along the height field's x axis, perpendicular to the normals, shape (n, 3), float32.
+        handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
+            face.
+        uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
+        texture: Linear RGB, row 0 at v = 1, shape (h, w, 3), float32; 1 × 1 for a uniform colour, black without colour.
+        vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices that use ``texture``. None if all
+            vertices use ``texture``.
+        has_base_colour: Whether the input mesh has a colour of any kind.
+        geometries: For each face, the index of its geometry in a scene, shape (m,), int32.
+        geometry_names: Names of the geometries in a scene; one empty name for a single mesh.
+        is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
+        centre: Origin of ``vertices``, world frame, shape (3,), float64.
+        radius: Unit of ``vertices``, in mesh units.
     """
 
     vertices: NDArray[np.float32]
@@ -87,7 +88,7 @@ class Surface:
 
     @forks.cached_property
     def is_closed(self) -> bool:
-        """Whether the mesh bounds bodies, each wound outwards."""
+        """Whether the mesh bounds bodies, each with outward normals."""
         return is_closed(self.vertices.T.astype(np.float64), self.faces.T)
 
 
@@ -96,17 +97,17 @@ def prepare_surface(
 ) -> Surface:
     """Check a mesh and compute its normals, tangents and base colours.
 
-    Normals are the file's own at vertices that have one, else angle-weighted means over all faces that meet at a
-    position, so that seams of the texture are invisible; an STL file has those of its facets. Tangents are ``tangents``
-    or else ∂P/∂u of the texture coordinates, averaged across seams where their direction differs by less than 30°.
+    Vertices with normals in the input keep them. Other normals are angle-weighted means over all faces that meet at a
+    position, so that texture seams are invisible. STL files have one normal per face. Tangents are ``tangents``, or
+    ∂P/∂u of the texture coordinates, averaged across seams where directions differ by less than 30°.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a mesh file. trimesh
-            itself may have merged vertices of a mesh built or loaded without ``process=False``. A :class:`Surface` is
-            returned unchanged.
-        tangents: Directions of the height field's x axis, world frame, one per vertex (of a scene: of its geometries,
-            in the order of its nodes), shape (n, 3), or one for all, shape (3,); of any length, not necessarily
-            tangential. None takes them from the texture coordinates.
+            merges vertices of a mesh that is built or loaded without ``process=False``. A :class:`Surface` is returned
+            unchanged.
+        tangents: Directions of the height field's x axis, world frame, of any length and not necessarily tangential.
+            Shape (n, 3) is one per vertex, for a scene in the order of its nodes; shape (3,) is one for all vertices.
+            None takes them from the texture coordinates.
 
     Returns:
         The surface.
@@ -133,7 +134,7 @@ def prepare_surface(
 def normalised_positions(
     mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Return ``centre``, ``radius`` and ``vertices`` of a mesh's :class:`Surface`, without its colours and tangents."""
+    """Return ``centre``, ``radius`` and ``vertices`` as in :class:`Surface`, without computing colours and tangents."""
     if isinstance(mesh, Surface):
         return mesh.centre, mesh.radius, mesh.vertices.astype(np.float64)
     with _naming_file(mesh), single_threaded_blas():
@@ -156,7 +157,7 @@ def _naming_file(mesh: Any) -> Iterator[None]:
 
 
 class _Geometry(NamedTuple):
-    """A mesh with its transform, its label in messages, which is its name if there are several, and its name."""
+    """Mesh with its transform, its label in messages, and its name in a scene."""
 
     mesh: Any
     transform: NDArray[np.float64]
@@ -166,7 +167,7 @@ class _Geometry(NamedTuple):
 
 @dataclass
 class _Part:
-    """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` given ones."""
+    """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` input vertices."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -181,7 +182,7 @@ class _Part:
 
 
 def _geometries(mesh: Any) -> list[_Geometry]:
-    """The meshes of ``mesh``, each with its transform."""
+    """Return the meshes in ``mesh``, each with its transform."""
     import trimesh
 
     if isinstance(mesh, (str, os.PathLike)):
@@ -205,7 +206,7 @@ def _geometries(mesh: Any) -> list[_Geometry]:
 
 
 def _named_part(geometry: _Geometry, *, colours: bool = True) -> _Part:
-    """A geometry checked; errors begin with its label."""
+    """Return a checked geometry; errors begin with the geometry's label."""
     try:
         part = _part(geometry.mesh, geometry.transform, colours=colours)
     except ValueError as error:
@@ -216,7 +217,7 @@ def _named_part(geometry: _Geometry, *, colours: bool = True) -> _Part:
 
 
 def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
-    """Check one mesh and take its arrays."""
+    """Check one mesh and copy its arrays."""
     vertices = np.array(mesh.vertices, dtype=np.float64)
     faces = np.array(mesh.faces, dtype=np.int64)
     if vertices.shape[1:] != (3,):
@@ -248,16 +249,17 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
     if determinant < 0.0:
         part.faces = part.faces[:, ::-1]
     if part.normals is not None and determinant != 0.0:
-        # The cofactors are the inverse's transpose times the determinant, whose sign cancels the mirrored winding.
+        # Cofactors are the transposed inverse times the determinant. With the absolute value, reversed faces keep their
+        # normals on the same side.
         part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
     return part
 
 
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Vertex normals that were given with the mesh, shape (n, 3), or ``None``.
+    """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
 
-    trimesh keeps given normals in the same cache as those that it worked out itself, per vertex and not per position.
-    It computes them from the faces' angles, which it then holds as well; such normals are recognised by their value.
+    trimesh stores given normals and computed normals in the same cache. For computed normals, the
+    cache also has the faces' angles, but these may have another cause. Computed normals are recognised by their values.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
@@ -272,7 +274,7 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if not worked_out:
         return normals.T
     corners = np.ascontiguousarray(faces.T)
-    # Vertices of a few faces decide most cases.
+    # A test at the vertices of a few faces decides most cases; otherwise all vertices are compared.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):
@@ -284,13 +286,13 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
 
 
 def _has_facets(mesh: Any) -> bool:
-    """Whether a mesh is that of an STL file, which has a normal for each face and no other, and is not merged."""
+    """Return whether a mesh is from an unmerged STL file, which has one normal per face and no other normals."""
     source = getattr(mesh, "source", None)
     return getattr(source, "file_type", None) == "stl" and len(mesh.vertices) == 3 * len(mesh.faces)
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
-    """Texture coordinates, shape (n, 2), or ``None``."""
+    """Return texture coordinates, shape (n, 2), or None."""
     uvs = getattr(mesh.visual, "uv", None)
     if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
         return None
@@ -305,7 +307,7 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
 
 
 def _take_colours(mesh: Any, part: _Part) -> None:
-    """Set the part's texture or colours; face colours need vertices of each face's own."""
+    """Set the texture or the colours of a mesh part; with face colours, every face gets separate vertices."""
     visual = mesh.visual
     if visual.kind == "vertex":
         part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
@@ -330,7 +332,7 @@ def _take_colours(mesh: Any, part: _Part) -> None:
 
 
 def _join(parts: list[_Part]) -> _Part:
-    """Join parts to one, which has what any of them has: NaN stands for missing, −1 for textured vertices."""
+    """Join the parts of a scene to one part. Missing entries of arrays are NaN, or −1 for colours with a texture."""
     if len(parts) == 1:
         return parts[0]
     textures: list[NDArray[np.float32]] = []
@@ -357,7 +359,7 @@ def _join(parts: list[_Part]) -> _Part:
 
     colours = gather("colours", 3)
     if colours is not None:
-        # Without a colour there is no pigment: black.
+        # Parts without colour or texture have no pigment, and are black.
         none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
     return _Part(
@@ -372,11 +374,11 @@ def _join(parts: list[_Part]) -> _Part:
 
 
 def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Centre and radius of the sphere about the bounding box of positions, shape (3, n)."""
+    """Return centre and radius of the sphere around the bounding box of positions, shape (3, n)."""
     low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
-    # The half diagonal; scaled, so that the squares of tiny and huge meshes neither under- nor overflow.
+    # The radius is half the diagonal. Scaling prevents under- and overflow of squares for tiny and huge meshes.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
     if not validation.LEAST <= radius <= validation.MOST:
         raise ArgumentValueError(
@@ -386,11 +388,11 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
 
 
 def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
-    """Drop faces without area; compute normals, tangents and the arrays for the device."""
+    """Return the surface of a part: remove faces without area, compute normals and tangents, and convert to float32."""
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
     centre, radius = _sphere(world)
-    # float32 first: what has no area in the kernels shall have none here.
+    # Positions are rounded to float32 first, so that the same faces have no area here and in the kernels.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
     keep, geometries = geometry.has_area, part.geometries
@@ -411,7 +413,7 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
         texture_geometry = TextureGeometry(uvs, faces)
         mirrored = texture_geometry.mirrored(faces, len(index))
         if mirrored.any():
-            # One handedness a face: a vertex that mirrored and unmirrored faces share is split in two.
+            # Each face has one handedness, so that a vertex of mirrored and unmirrored faces is split in two.
             used, faces = compacted(faces * 2 + mirrored, 2 * len(index))
             handedness = np.where(used % 2 == 1, -1.0, 1.0)
             used //= 2
@@ -447,7 +449,7 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
 
 
 def _check_tangents(part: _Part, tangents: NDArray[np.float64] | None) -> None:
-    """There must be a tangent for each vertex; without any the part must have texture coordinates."""
+    """Check that each vertex has a tangent, or that the part has texture coordinates if there are no tangents."""
     if tangents is not None:
         if tangents.shape != (part.count, 3):
             raise ArgumentValueError(

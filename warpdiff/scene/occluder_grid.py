@@ -1,4 +1,4 @@
-"""Occluder grids: for a shadow ray to a directional light, the few faces that may occlude it."""
+"""Occluder grids: lists of the faces that may occlude a directional light, by cells of a plane across the light."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Cells that a face's box overlaps on average, and faces in the lists that faces are in, beyond which a hierarchy is
-# faster: large faces lie one above the other, or small ones close together.
+# Limits of grids: mean number of cells per face, and number of faces in an average list, weighted by its length. Beyond
+# them a hierarchy is faster, because large faces overlap or small ones are close together.
 _MOST_CELLS, _MOST_LISTED = 16, 48
-# Number of faces per slice of a launch. Limit: other values change the time only.
+# Number of faces per slice of a launch. Choice: other values change only the time.
 _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists, which uses the hierarchy."""
+    """Return a struct :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists: rays use the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -36,9 +36,9 @@ def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> shadow_rays.ShadowGrid:
-    """The :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface under a light on the CPU, made or found again.
+    """Return the :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface and a light on the CPU, from a cache.
 
-    That of a mesh whose faces are of too uneven sizes is without lists, as a few cells would have most of them.
+    If faces have very uneven sizes, the struct has no lists, as a few cells would have most of the faces.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
     return scene.grids.get_or_make(tuple(to_light), make)
@@ -53,7 +53,7 @@ def _made(
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # Rounding of the kernel differs by at most one or two steps.
+    # The grid has a margin of two steps, which covers differences in rounding between NumPy and the kernel.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
