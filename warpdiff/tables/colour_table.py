@@ -96,7 +96,7 @@ class ColourTable:
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
-        """Fill rows with spline coefficients of the values that ``compute`` writes for a mip level and an octave."""
+        """Fill rows with spline coefficients of the values that ``compute`` writes for one octave of a mip level."""
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
         for level in levels:

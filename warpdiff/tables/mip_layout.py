@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Largest distance of spectrum samples along the radius, in standard deviations of the spectrum's blur. Derived: a sum
-# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of an octave the variation is 1e-13.
+# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. The distance is half as large at the inner end of an
+# octave band, where the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
 # Limit: smallest number of spectrum samples from one ring to the next. With one sample, the weighted sum is no accurate
 # integral: the error was 7e-4 instead of 2e-5 at the 99th percentile.
@@ -141,7 +142,7 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the most blurred finer level from which a level can be computed by blurring an octave.
+        """Return the most blurred finer level from which a level can be computed by blurring one octave.
 
         The standard deviation of that blur must be at least the distance of the finer level's azimuth samples.
         """

@@ -117,7 +117,7 @@ class SpectrumSource(ABC):
             options: Options of ``launch``, which include the device.
 
         Returns:
-            Function with three arguments: index of an octave, one of :attr:`Projection.matrices` on the device, and
+            Function with three arguments: index of the octave, one of :attr:`Projection.matrices` on the device, and
             array for the rows of the octave, to which the function writes.
         """
 
@@ -168,7 +168,7 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects an octave of samples together with the next octave."""
+        """Return a function that projects the samples of one octave together with those of the next octave."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Scratch space of each azimuth sample for its rings of both octaves. On the CPU, a slice writes only to the
         # space of its first azimuth samples, and the rest is never in memory.
@@ -237,7 +237,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of an octave and of the next rings to the grid, and projects the sums."""
+        """Return a function that adds the lines of one octave and of the next rings to the grid, and projects them."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
