@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Largest distance of spectrum samples along the radius, in standard deviations of the spectrum's blur. Derived: a sum
-# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. The distance is half as large at the inner end of an
-# octave band, where the variation is 1e-13.
+# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the distance is
+# half as large and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
 # Limit: smallest number of spectrum samples from one ring to the next. With one sample, the weighted sum is no accurate
 # integral: the error was 7e-4 instead of 2e-5 at the 99th percentile.
