@@ -198,6 +198,7 @@ class _Bakery:
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
         """Sample directions of the hemisphere: one half is uniform, the other half favours bright directions.
+
         Returns:
             Scattering vectors, geometry factors and XYZ of the directions; and the reference luminance. This is the
             larger of the 99th percentile and the luminance-weighted median, which is larger if few directions are

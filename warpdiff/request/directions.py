@@ -1,4 +1,4 @@
-"""Range of a call's directions, and a sample of them on which the planner tries plans."""
+"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit on the number of directions in the sample that a plan is tried on. If doubled, planning takes longer.
+# Limit on the number of sampled directions on which the planner tries plans. If doubled, planning requires more time.
 MOST_SAMPLED = 8192
 # Number of directions of a call from which the planner samples at most half of them; smaller calls are used whole.
 _SAMPLED_FROM = 4096
@@ -53,7 +53,10 @@ class DirectionSample:
         gains: NDArray[np.floating],
         parts: int = 1,
     ) -> DirectionSample:
-        """Sample the illuminated directions evenly in their order; ``parts`` passes share the sample of a call."""
+        """Sample the illuminated directions evenly in their order.
+
+        ``parts`` is the number of passes of the call; each pass contributes this share of the sample.
+        """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
         weights = np.full(len(places), len(illuminated) / max(len(places), 1))
@@ -77,8 +80,8 @@ class DirectionSample:
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Indices of the illuminated directions in a sample that ``parts`` passes share."""
-    # Each pass contributes at least one direction, however many passes there are.
+    """Return the indices of ``count`` illuminated directions that one of ``parts`` passes contributes to a sample."""
+    # Each pass contributes at least one direction, even if the number of passes exceeds the limit.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -158,10 +161,10 @@ def order_rate(
     scattering_vectors: NDArray[np.float64],
     to_lights: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """Rate at which the frequency q moves over the coefficients as 1/λ changes, shape (n,).
+    """Return the rate at which the frequency q = (u, v)/λ changes with 1/λ, shape (n,).
 
-    It is |(u, v)| for a window and |(u Lx, v Ly)| [µm] for replicas. For a source (u, v) is first stretched along the
-    tangential direction of the light, in which the source is foreshortened.
+    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. A source is foreshortened along the
+    tangential direction of the light. Its rate is |(u, v)| after (u, v) is stretched along that direction.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

@@ -78,7 +78,7 @@ class CommonSettings(Checked):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The coherence of the settings, or the default."""
+        """Coherence of the settings, or the default coherence."""
         return self.coherence or Coherence()
 
 
@@ -115,7 +115,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The coherence of the explicit plan, or that of the settings, or the default."""
+        """Coherence of the explicit plan, or that of the settings, or the default coherence."""
         return super().effective_coherence if self.plan is None else self.plan.coherence
 
 
