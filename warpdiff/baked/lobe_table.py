@@ -21,7 +21,7 @@ from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Largest |w|, that of light and view along the normal.
+# Largest |w| of a scattering vector (u, v, w), for light and view along the normal.
 LARGEST_W = 2.0
 # Largest |κ| of the zeroth order, derived from the largest |w| and the shortest visible wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
@@ -33,7 +33,8 @@ _ZEROTH_WAVELENGTHS = 40
 _BYTES_PER_LOOK_UP = 400
 # Limits on the grid of a loaded file: rings per octave, octaves, and azimuth samples per ring.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
-# Limits on arguments: size of a Cartesian grid [cells per side], and wavelength of a lobe's variance [µm].
+# Limits on arguments: size of a Cartesian grid [cells per side], and wavelength at which a lobe's variance is computed
+# [µm].
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
 
@@ -232,7 +233,7 @@ class BakedLobes(table_files.SavedTable):
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of a lobe along u or v at a wavelength [µm], above 0 and at most 10."""
+        """Return the variance of a lobe along u or v at a wavelength of more than 0 and at most 10 µm."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         return self._zeroth.lobe_variance(wavelength_um)
 

@@ -1,7 +1,8 @@
 """Quantisation: groups of numbers as signed integers of one or two bytes, with an exponent per group.
 
-The error of a number is at most half a step, relative to the largest number of its group. Exponents count factors of
-2^(1/8). A byte therefore covers a range of 2^32; groups of smaller numbers become 0.
+The integers of a group count steps: the largest magnitude of the group divided by 127 or 32767. The error of a number
+is at most half a step. Exponents count factors of 2^(1/8). An exponent of one byte therefore covers a range of 2^32;
+groups of smaller numbers become 0.
 """
 
 from __future__ import annotations
@@ -34,6 +35,6 @@ def quantise(values: NDArray[np.float32], dtype: Any = np.int8) -> tuple[float, 
 
 
 def dequantise(scale: float, exponents: NDArray[np.uint8], mantissas: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the values of exponents, shape (...,), and integers, shape (..., m)."""
+    """Return the values that exponents, shape (...,), and integers, shape (..., m), represent."""
     steps = scale * 2.0 ** ((exponents.astype(np.float32) - 255.0) / EIGHTHS) / np.iinfo(mantissas.dtype).max
     return np.asarray(steps[..., None] * mantissas, dtype=np.float32)

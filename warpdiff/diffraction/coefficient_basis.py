@@ -85,7 +85,7 @@ class Coefficients:
 
     @property
     def terms(self) -> int:
-        """Number of terms."""
+        """Number of basis functions."""
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,7 +141,7 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # κ = w/λ is negative.
+    # The argument is negative, because κ = w/λ is negative.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))

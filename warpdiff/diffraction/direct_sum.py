@@ -80,7 +80,8 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Along an axis with the component t, the standard deviation of the Gaussian is multiplied by √(1 − t²).
+    # For a light direction with the component t along an axis, the standard deviation along this axis is multiplied by
+    # √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -92,7 +93,8 @@ def _coefficient_sum(
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # The product is reduced modulo the number of samples before the multiplication by π, which preserves digits.
+    # The product of indices in a phase is reduced modulo the number of samples before the multiplication by 2π, which
+    # preserves digits.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -156,7 +158,8 @@ def _periods_power(
 
 def _interference(turns: float, periods: int) -> float:
     """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, for a phase of t turns between periods."""
-    # The integer part of t has no effect. Its subtraction before the multiplication by N preserves digits.
+    # The integer part of the phase t [turns] has no effect. Its subtraction before the multiplication by N preserves
+    # digits.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

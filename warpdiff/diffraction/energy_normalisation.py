@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of orders whose factors are computed exactly; for more, factors come from a grid of directions. The
-# cost is proportional to the square of this number.
+# Largest number of orders whose energy factors are computed exactly. For more orders, factors are interpolated on a
+# grid of directions. The cost is proportional to the square of this number.
 MOST_EXACT = 600
 # Size of the grid of directions: elevations and azimuths. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which neighbouring orders are summed [units of (u, v)], about that of a cell of this grid.
+# Width of the bins in which neighbouring orders are summed [units of (u, v)], about the size of a grid cell.
 _BIN = 0.08
 # Limits of Sinkhorn's iteration: number of sweeps, and relative change that ends it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
@@ -46,7 +46,7 @@ _CACHED = 8
 # Number of pairs of direction and wavelength over which the factors of colours are averaged; the cost is proportional
 # to it.
 _LIGHTS = 4096
-# Range of the wavelengths in these pairs [nm]; it contains nearly all visible power.
+# Range of wavelengths over which the factors of colours are averaged [nm]; it contains nearly all visible power.
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Ratio of Roberts' recurrence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
@@ -90,7 +90,7 @@ class Powers:
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
-            # κ = w/λ is negative.
+            # The exponent is negative, because κ = w/λ is negative.
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
             power = np.pad(power, [(0, k - n) for k, n in zip(counts, heightfield.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
@@ -117,7 +117,7 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """Return the first index of each block of n indices; one block is centred at n // 2, that of the zeroth order."""
+    """Split n indices into blocks, one of which is centred at n // 2 (zeroth order); return their first indices."""
     first = (n // 2 - block // 2) % block
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
 
@@ -298,7 +298,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return K from lights, shape (n, 3), at one wavelength each, distributed to the m grid nodes, shape (n, m)."""
+    """Return the efficiencies K of lights (n, 3), at one wavelength each, distributed to the m grid nodes, (n, m)."""
     result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, efficiencies = _outgoing(powers, light, wavelength_um)
@@ -308,7 +308,7 @@ def _distributed(
 
 
 def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
+    """Balance a matrix K: return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
     first, second = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
     for _ in range(_MOST_SWEEPS):
         before = first
@@ -320,7 +320,7 @@ def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return factors a with a (K a) = 1 of a matrix that is symmetric up to quadrature errors, (n,)."""
+    """Balance a matrix K that is symmetric up to quadrature errors: return factors a with a (K a) = 1, shape (n,)."""
     factors = np.ones(len(matrix))
     for _ in range(_MOST_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))

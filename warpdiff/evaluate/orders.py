@@ -83,9 +83,9 @@ def order_efficiencies(
     """Return the absolute efficiencies of all propagating orders of an infinitely repeated height field, in float64.
 
     The direction of order (m_y, m_x) follows from the grating equation sin θi + sin θr = mλ/L: the x and y components
-    of ωi + ωr are m_x λ/Lx and m_y λ/Ly. Its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh).
-    Masking is not included. In scalar theory the sum of the efficiencies is R only approximately, and exceeds it for
-    short periods at grazing angles.
+    of ωi + ωr are m_x λ/Lx and m_y λ/Ly. The amplitude of the order is the Fourier coefficient r = −m_x, s = −m_y of
+    exp(2πiκh). Masking is not included. In scalar theory the sum of the efficiencies is R only approximately, and
+    exceeds it for short periods at grazing angles.
 
     ``energy="normalised"`` multiplies the efficiencies by a(ωi) a(ωr). The factors a make the orders of a perfect
     mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal, and closer to rigorous solutions for

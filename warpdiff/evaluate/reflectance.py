@@ -207,7 +207,8 @@ def brdf(
 
     The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence. The factor is
     4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs, and A N1 N2/λ² for N1 × N2 periods of a
-    patch with the area A. For a window, the last two factors are |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²).
+    patch with the area A. For a window g, ⟨|P|²⟩ times its factor is the mean of |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫
+    g²).
 
     The BRDF is reciprocal, except for a source. Scalar diffraction does not conserve energy exactly: the sum over the
     orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing angles.
@@ -288,7 +289,7 @@ class _Call:
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """Return the relative reflectance ρ, shape (n, m)."""
+        """Return the relative reflectance ρ of all directions of the call, shape (n, m)."""
         heightfield, wavelengths_nm = self._request.heightfield, np.asarray(self._request.wavelengths_nm)
         if self.plan.method == "direct":
             result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
@@ -315,7 +316,7 @@ class _Call:
         return reflectances(self._request.illuminated[0].material, self._scattering_vectors[some], wavelengths_nm)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """Return XYZ, shape (n, 3)."""
+        """Return the XYZ of all directions of the call, shape (n, 3)."""
         heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
         if self.plan.method == "direct":
             return direct_colour(

@@ -36,14 +36,14 @@ AMPLITUDE_MARGIN = 1e-3
 # root of this ratio, here with a margin of 100. If doubled, tails of the zeroth order are missing in the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 # Smallest Gaussian weight of a neighbour, as a share of the tolerance, for plans that no trial has validated. Derived:
-# a call may be as dark as DARK.
+# the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of samples per unit of 1/λ [µm] for the colour-matching functions and the illuminant. Fitted for D65, FL11 and
 # HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the error under illuminants
 # with spectral lines exceeds its share of the tolerance.
 _COLOUR_BANDWIDTH_UM = 48.0
 # Number of samples per standard deviation of an order, which is a Gaussian over 1/λ, at a tolerance of 1. Fitted for
-# the same illuminants and Gaussians of 1/18 to 1/222 per µm; the number is 0.95 at a tolerance of 1e-2.
+# D65, FL11 and HP1 with Gaussians of 1/18 to 1/222 per µm; the number is 0.95 at a tolerance of 1e-2.
 _SAMPLES_PER_DEVIATION = 0.441
 # Number of samples per cycle of the interference between two height levels in the mirror direction, at a tolerance of
 # 1, in addition to those for the colours. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12; the number is 6 at a
@@ -53,7 +53,7 @@ _SAMPLES_PER_CYCLE = 2.785
 # samples, and the power of a replicated patch by cubics through four samples.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # Typical error of an upper-bound plan in the integral over λ, and also by excluded neighbours, as a share of the
-# tolerance. Fitted: 99th percentile of the errors with the numbers of samples above. It is reported only.
+# tolerance. Fitted: 99th percentile of the errors with the numbers of samples of such plans. It is reported only.
 _TYPICAL_SHARE = 0.05
 # Number of samples of a replicated patch's power per order in the visible range, at a tolerance of 1. Fitted for random
 # patches of fingers under D65 to HP1; the number is 25 at a tolerance of 1e-2. If halved, the error is 16 times as
@@ -98,7 +98,7 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan with enough neighbours for a dark call that no trial has validated."""
+    """Return the plan with enough neighbours for a very dark call whose error no trial measures."""
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 

@@ -3,7 +3,7 @@
 Upper bounds suffice for the worst surface and the worst direction; most calls require less. The coordinates of a plan
 are its terms, neighbours, subdivisions and two parts of the bandwidth. The search makes one coordinate after the other
 as coarse as an error budget permits. The budget grows from coordinate to coordinate, so that each one can use the
-unused budget of the previous ones. These errors are measured on the training set against a reference. The validation
+unused budget of the previous ones. Errors are measured on the training set against a reference. The validation
 set then checks the result. If the result fails, the coordinate with the largest effect is refined.
 """
 
@@ -31,14 +31,14 @@ _REPAIRS = 3
 # Limit: a search coarsens a bandwidth by at most 2 to the power of this number. Upper bounds exceed the bandwidth that
 # one surface requires by less.
 _OCTAVES = 3
-# Bandwidths of every search are a whole number of steps from the upper bound for this tolerance. Without this common
-# grid, a looser tolerance could cost a fraction of a step more than a tighter one.
+# Tolerance that defines a common grid of bandwidths: every search tries only whole steps from the upper bound for this
+# tolerance. Without the grid, a looser tolerance could cost a fraction of a step more than a tighter one.
 _GRID_TOLERANCE = 1e-2
 # Smallest number of bright validation directions that represent all bright directions of a call. Fitted to random calls
 # with few bright directions (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # Share of the remaining error budget that a search uses if few validation directions are bright. The predicted error is
-# also at least this share of the tolerance. Fitted to the same calls.
+# also at least this share of the tolerance. Fitted to random calls with few bright directions.
 _SHARE_BY_FEW = 0.1
 
 
@@ -122,7 +122,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # No coordinate reduces the error alone, so that all coordinates are refined together.
+            # No single parameter of the plan reduces the error, so that all parameters are refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)

@@ -182,7 +182,7 @@ def warn_outside(
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
-        # For windows, the order rate is |(u, v)|, which is compared above.
+        # For windows, the order rate is |(u, v)|, which is compared already.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
         # A basis is fitted to a range of wavelengths. The smallest |w| is not compared, because renderers always report

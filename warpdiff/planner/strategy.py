@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 # Cost of the upper-bound plan divided by the cost of the plan from a search, by kind of coherence. Fitted: medians of
 # 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, as the number of directions that the resulting plan evaluates in the same time. Fitted to the same
+# Cost of a search, as the number of directions that the resulting plan evaluates in the same time. Fitted to 32 random
 # calls.
 _SEARCH_DIRECTIONS = 16_000
 # Limit: smallest number of directions for which an explicit method that adds powers is tried in float32. Only a trial
@@ -137,9 +137,9 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
 def _any_direction(
     heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, known: NDArray[np.float64] | None
 ) -> DirectionRange:
-    """Return the range of all pairs of one known direction and one direction of the hemisphere.
+    """Return the range of all pairs of a known direction and any direction of the hemisphere.
 
-    If ``known`` is None, both directions are any of the hemisphere.
+    If ``known`` is None, both directions of a pair are any of the hemisphere.
     """
     max_uv = min_w = max_w = 0.0
     if known is None:
@@ -170,7 +170,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # This plan is computed only if it is required, because it may require the fit of another basis.
+    # The plan without measurements is computed only if it is required, because it may require the fit of another basis.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):

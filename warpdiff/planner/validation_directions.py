@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 # Number of uniform candidates, and number of training directions. Fitted: if halved, more than 1 % of the calls exceed
 # the tolerance; if doubled, planning requires twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
-# Number of validation directions. It is larger than that of training directions, because they decide about the result.
+# Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
+# is accepted.
 _VALIDATION = 2 * _TRAINING
 # Limit: number of edge cases of each kind, and number of strong orders. Directions near one strong order are a kind of
 # their own. All edge cases are at most a third of the candidates.

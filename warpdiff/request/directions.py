@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 # Limit on the number of sampled directions on which the planner tries plans. If doubled, planning requires more time.
 MOST_SAMPLED = 8192
-# Number of directions of a call from which the planner samples at most half of them; smaller calls are used whole.
+# Smallest number of directions of a call that the planner samples, at most every second one. It uses all directions of
+# smaller calls.
 _SAMPLED_FROM = 4096
 # Random seed of the sample, arbitrary; with another seed, plans differ slightly.
 _SEED = 2
@@ -33,7 +34,7 @@ class DirectionSample:
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3), float64.
         to_lights: Unit vectors to the light in the local frame, shape (n, 3), float64.
-        gains: Factors between ⟨|P|²⟩ and the result, shape (n,).
+        gains: Geometry factors by which ⟨|P|²⟩ is multiplied, shape (n,).
         weights: Number of directions of the call that each direction of the sample represents, shape (n,).
     """
 
@@ -103,7 +104,7 @@ class DirectionRange:
 
     Attributes:
         max_uv: Largest |(u, v)|.
-        max_order_rate: Largest of :func:`order_rate`.
+        max_order_rate: Largest order rate, as :func:`order_rate` defines it.
         min_w: Smallest |w|.
         max_w: Largest |w|.
         lambda_min_nm: Shortest wavelength [nm].

@@ -270,7 +270,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return the row about the integral over λ; a spectrum has no such row."""
+        """Return the line of a printed plan about the integral over λ, by its label; empty for a spectrum."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""

@@ -32,21 +32,22 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of it, and each padded
-# length requires kernels of its own.
+# length requires separately compiled kernels.
 LANES = 8
 # Limit: smallest number of wavelengths in a quadrature.
 _FEWEST_WAVELENGTHS = 16
-# Limit: the table contains all neighbours of a direction with at least this Gaussian weight, even if a plan excludes
-# them. Plans with different least weights therefore share a table.
+# Limit: smallest Gaussian weight of the coefficients that a table stores around a direction, even if a plan excludes
+# such small weights. Plans with different least weights therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# Limit: smallest number of intervals between the wavelengths of a replicated patch. Cubics interpolate its power
-# between four wavelengths.
+# Limit: smallest number of wavelength intervals for replicas. Cubics through four wavelengths interpolate the power of
+# one patch.
 _FEWEST_INTERVALS = 4
 # Limit: number of permitted quadrature sizes per doubling of the size. Few permitted sizes let plans share quadratures.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while a quadrature is computed [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
-# Samples of a material's reflectance over cos θd. Linear interpolation has an error of at most 1e-4, near the horizon.
+# Number of cos θd at which the reflectance of a material is tabulated. Linear interpolation has an error of at most
+# 1e-4, near the horizon.
 _ANGLES = 513
 # Measured peak memory [bytes]. The first two are per coefficient and term: while a series is computed, and while a
 # basis is fitted to it. The others are per frequency of the transform: in total, and for each thread.
@@ -72,7 +73,7 @@ class CoefficientRange:
 
     @classmethod
     def covering(cls, direction_range: DirectionRange) -> CoefficientRange:
-        """Return the range of coefficients that directions and wavelengths of a range require."""
+        """Return the range of coefficients for a range of directions and wavelengths."""
         shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
@@ -144,7 +145,7 @@ class Table:
 
 
 def lanes_of(terms: int) -> int:
-    """Return the padded length of a table row with a number of terms."""
+    """Return the padded length of a table row with ``terms`` terms."""
     return LANES * math.ceil(terms / LANES)
 
 
@@ -208,7 +209,7 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # A series that is stored in both caches would remain in memory longer than necessary.
+        # The series of the last fit is removed from its cache, because it would add to the memory of all tables.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -223,7 +224,7 @@ def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
-    """Return the kernels for table rows with a number of terms."""
+    """Return the kernels for table rows with ``terms`` terms."""
     powers = coefficient_basis.holds_powers(method, adds_powers=coherence.adds_powers)
     return coefficient_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
@@ -310,7 +311,8 @@ def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the Gaussian of a source is an ellipse. The kernels visit a parallelogram that contains it.
+    # At oblique incidence, the Gaussian weight of a source has elliptical contours. The kernels sum over a
+    # parallelogram of coefficients that contains the ellipse.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
@@ -321,7 +323,8 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # Directions of small bandwidth use fewer wavelengths. The constant part of the bandwidth limits how many fewer.
+    # Smaller quadratures are for directions of small bandwidth. The constant part of the bandwidth, which all
+    # directions require, limits their number.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -366,7 +369,7 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Set the polynomials of the interpolation kernel; the spectrum is constant along an axis of one sample."""
+    """Set the tap polynomials of the interpolation kernel in a struct; an axis of one sample has one constant tap."""
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0

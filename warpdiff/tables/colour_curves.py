@@ -32,22 +32,23 @@ if TYPE_CHECKING:
 
 # Number of |w| at which the functions of w are tabulated, at least 32 per oscillation; cubics interpolate between them.
 _ENTRIES_OVER_W = 160
-# Errors at one |w| are relative to the colours there, but to at least this share of the largest colours over all |w|.
+# Errors of colours at one |w| are relative to the colours there, but to at least this share of the largest colours over
+# all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of samples of the colour curves from one ring to the next.
 _SAMPLES_PER_NODE = 64
 # Errors of fitted colour curves are relative to the curves, but to at least this share of their largest value. The
 # curves vanish at both ends of the spectrum.
 _LEAST_SCALE = 0.005
-# Colour curves include the reflectance of a material at this cos θd. The ratio of the reflectance at other angles to it
-# is approximated by a sum of products: a function of |(u, v)| times a function of λ and w. The second number is the
-# error of this sum, as a share of the tolerance.
+# The first number is the cos θd of the reflectance that colour curves include. The ratio of the reflectance at other
+# angles to this reflectance is a sum of products: a function of |(u, v)| times a function of λ and w. The second number
+# is the largest error of this sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# Polynomials in cos θd approximate a reflectance with this error. The other numbers limit their count of Chebyshev
-# nodes: metals need the fewest, and thin films with resonances near the horizon need the most.
+# Largest error of the polynomials in cos θd that approximate a reflectance, and smallest and largest number of their
+# Chebyshev nodes. Metals need the fewest nodes; thin films with resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Colour curves include a reflectance of at least this share of its largest value, because thin films reflect nothing at
-# some wavelengths.
+# Smallest reflectance in colour curves, relative to its largest value. Thin films reflect nothing at some wavelengths,
+# and ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
@@ -60,8 +61,8 @@ class SpectrumBasis:
         kappas: Range of |κ|, smallest and largest [1/µm].
         sizes: Relative size of each term in typical rows, shape (terms,).
         share: Truncation error of the expansion in functions of w, as a share of the tolerance.
-        holds_lines: Whether rows are densities of spectral lines per unit of frequency. The density per unit of (u, v)
-            is that divided by λ².
+        holds_lines: Whether rows are densities of spectral lines per unit area of frequency. Densities per unit area of
+            (u, v) are smaller by the factor λ⁻².
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -108,7 +109,7 @@ class Projection:
 def make_projection(
     plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
 ) -> Projection:
-    """Return the projection for the rings of a plan.
+    """Return the weights that convert power spectra to colours, for the rings of a plan.
 
     If the plan does not set the number of functions of w, the tolerance selects it. Because cos θd = |(u, v, w)|/2, the
     reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
@@ -135,7 +136,8 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Largest omission of the first 0, 1, … functions over all |w|, because a call may use a single |w|.
+    # Entry n is the truncation error with the first n functions. It is the largest one over all |w| and not the mean,
+    # because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -155,7 +157,7 @@ def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# The result does not depend on the illuminant or on the number of functions of w. The cache stores the last one.
+# The result does not depend on the illuminant or on the number of functions of w. The cache stores the last result.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
@@ -183,7 +185,7 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # |(u, v)| is at most 2.
+    # The outermost rings may be beyond 2, the largest possible |(u, v)|.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -211,7 +213,7 @@ def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance divided by that in the colour curves, at Chebyshev nodes of cos θd, for interpolation."""
+    """Return the ratio of a material's reflectance to that in the colour curves, at Chebyshev nodes of cos θd."""
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
@@ -244,7 +246,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # This factor gives a constant spectrum its exact colour, up to rounding.
+    # The weights are scaled so that a constant power spectrum has its exact colour, up to rounding.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
@@ -257,10 +259,12 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
-    # The fit extends beyond both ends of the visible range, where the curves are 0 and the outermost splines are not.
+    # The fit of the colour curves extends beyond both ends of the visible range. The curves are 0 there, but the
+    # outermost splines are not.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
-    # The curves are 0 outside of the visible range. The factor λ follows from dλ = λ d ln λ.
+    # Colour curves are 0 outside of the visible range. Splines are functions of ln λ, so that dλ = λ d ln λ adds a
+    # factor λ.
     curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]

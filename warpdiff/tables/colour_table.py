@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 # Limits of decimation: look-ups of wide footprints skip every second ring if colours are smooth over ln λ. The Fourier
 # transform of the colour curves, relative to its value at 0, must be below the first number at the frequency that
-# aliases to 0. The second number is the distance from that frequency to the signal's band, in standard deviations. The
-# third one is a scale that disables the decimation.
+# aliases to 0. The second number is the smallest distance between that frequency and the band of the power spectrum, in
+# standard deviations of the look-up's Gaussian. The third number is a scale that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # Number of wavelengths in the integral of the zeroth order, and number of cos θd at which its reflectance is tabulated.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Limit: number of azimuths that a CPU thread processes at once.
+# Limit: number of azimuth samples that a CPU thread processes at once.
 _AZIMUTHS_OF_SLICE = 32
 
 
@@ -72,7 +72,7 @@ class ColourTable:
 
     @property
     def nbytes(self) -> int:
-        """Size of the arrays [bytes]. On the CPU, only filled rows count, as unused space is not in memory."""
+        """Size of the table's arrays [bytes]. On the CPU, only filled rows count, as unused space is not in memory."""
         values = [getattr(self.struct, name) for name in self.kernels.Colours.vars if name != "rows"]
         others: int = sum(value.capacity for value in values if isinstance(value, wp.array))
         rows = self.fields["rows"]
@@ -119,7 +119,7 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # Another thread may add or remove the same entry at any time, so that the cache is read only once.
+    # Another thread may add or remove the same entry at any time, so that this function reads the cache only once.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -144,7 +144,7 @@ def function_count(
 def _made(
     source: SpectrumSource, plan: Plan, illuminated: IlluminatedMaterial, cache: TableCache, **options: Any
 ) -> ColourTable:
-    """Compute a new table that has level 0 only."""
+    """Compute a new colour table with mip level 0 only."""
     projection, samples = source.projection(plan, illuminated), cache.spectra.get(source.key)
     memory.require_memory(
         1e6 * megabytes(plan) + (source.sampled_bytes if samples is None else 0.0),
@@ -207,7 +207,7 @@ def _fields(
         "ring_of_one": -grid.log_radius * per_log,
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
-        # Look-ups replace smaller |(u, v)| by this one, because a spline also requires the ring before it.
+        # Smallest |(u, v)| of a look-up, which replaces all smaller ones. A spline also requires the ring before it.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

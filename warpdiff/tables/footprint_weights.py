@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # mip level lacks. The variance of that blur is at most 3 · 1.2², because the blur doubles from level to level.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Typical standard deviation of the blur that a mip level has already, in distances of azimuth samples. Level 0 has 0.9
-# to 2.1. Used only where the spectrum is smoothed by a window.
+# to 2.1. The number is used only for spectra under a window.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
@@ -49,7 +49,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """Return the struct ``FootprintTaps`` of the kernels for a rule, on the device with an alias."""
+    """Return the struct ``FootprintTaps`` of the kernels for a tap rule, on the device with the name ``device``."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -95,7 +95,8 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
     """Return weights of spline coefficients for a Gaussian blur that is truncated at the outermost taps."""
-    # The interval of ±16 samples is so wide that the periodic Fourier transform does not wrap the widest Gaussian.
+    # The spline is evaluated up to 16 sample distances from its centre. This interval is so wide that the periodic
+    # Fourier transform does not wrap the widest Gaussian.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
@@ -132,11 +133,12 @@ def _inverse_products(count: int) -> NDArray[np.float64]:
 
 
 def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return a normalised Gaussian of a variance, filtered by a discrete filter, at positions ``at``."""
+    """Return a normalised Gaussian with the variance ``variance``, convolved with a discrete filter, at positions."""
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# Taps for lines extend further than taps for a spectrum under a window, because the tails of single lines are visible.
+# Taps for spectral lines extend further than taps for a spectrum under a window, because the tails of single lines are
+# visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

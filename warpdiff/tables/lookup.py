@@ -63,7 +63,7 @@ class ColourLookup:
         Args:
             scattering_vectors: Scattering vectors (u, v, w), shape (n,).
             to_lights: Directions to the light in the local frame, shape (n,).
-            gains: Factors of the reflectances, shape (n,).
+            gains: Geometry factors of the reflectances, shape (n,).
             illuminated: Illuminant, and the illuminated material.
             xyz: Array to which the XYZ are added, shape (n,).
             footprints: Footprint of each pixel in (u, v), for a plan with footprints.

@@ -27,13 +27,15 @@ _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur. Derived: within it, the spectrum deviates
 # from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Blur of a source's spectral lines, in distances of azimuth samples. Splines represent lines of this width accurately.
+# Standard deviation of the blur of a source's spectral lines, in distances of azimuth samples. Splines represent lines
+# of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of its total blur.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
-# Largest blur of a mip level [rad].
+# Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit: number of azimuth samples that 64-bit integers can represent. Such a table is refused later for its memory.
+# Limit: number of azimuth samples that 64-bit integers can represent. A table of this
+# size raises ``MemoryError`` later.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -41,8 +43,9 @@ _MOST_AZIMUTHS = 2.0**60
 class MipLayout:
     """Layout of a colour table: its grids, and the order of its rows (by level, then octave, azimuth and ring).
 
-    Ring i of |(u, v)| has the radius of ring i of the frequencies, times the longest visible wavelength. Its colours
-    also use the next octave of frequencies. Each octave of |(u, v)| has as many azimuth samples as that next octave.
+    Ring i of |(u, v)| has the radius of ring i of the frequencies, times the longest visible wavelength. The colours of
+    one octave of |(u, v)| use the same octave of frequencies and the next one. The octave of |(u, v)| has as many
+    azimuth samples as that next octave of frequencies.
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
@@ -62,7 +65,7 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a plan and the largest frequency [1/µm], with level 0 only."""
+        """Return the layout for a plan and the largest frequency [1/µm], with mip level 0 only."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
@@ -111,7 +114,7 @@ class MipLayout:
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # An octave whose blur has reached the limit is the same in all further levels.
+            # An octave with a blur at the limit is the same in all further mip levels.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -122,7 +125,7 @@ class MipLayout:
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
-        """Index of the first row of azimuth 0 in each level and octave, shape (levels, octaves)."""
+        """Index of the first row at azimuth 0 in each mip level and octave, shape (levels, octaves)."""
         first = np.cumsum([0, *self._row_counts[:-1]]) + HALF_TAPS * self.levels[0].rings
         return np.asarray(first.reshape(len(self.levels), -1))
 
@@ -142,9 +145,9 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the most blurred finer level from which a level can be computed by blurring one octave.
+        """Return the most blurred finer mip level from which one octave of ``level`` can be computed by a blur.
 
-        The standard deviation of that blur must be at least the distance of the finer level's azimuth samples.
+        The standard deviation of the blur must be at least the distance of azimuth samples in the finer level.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]

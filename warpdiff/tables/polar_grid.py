@@ -5,9 +5,9 @@ surface times exp(−r²/4σ²). A table over logarithmic polar coordinates reso
 over λ of any number of orders, for every light and view. ``colour_table`` computes it once per height field and
 coherence.
 
-A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. Its table contains spectral
-lines with little blur; each look-up adds the blur of the source and of the footprint. Wavelengths are sampled instead
-near the mirror direction, and where a grazing source blurs less than the table.
+A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. The table of a source contains
+spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Wavelengths are sampled
+instead near the mirror direction, and where a grazing source blurs less than the table.
 """
 
 from __future__ import annotations

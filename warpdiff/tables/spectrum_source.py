@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # Smallest |κ| of the basis, relative to the largest one. At smaller |κ|, only the zeroth order has power.
 _SMALLEST_KAPPA = 1e-3
 # Limits on the truncation error of the functions of w, as shares of the tolerance: for terms of powers, and for
-# cardinal polynomials, whose sum is smaller than a single one of them.
+# cardinal polynomials. The sum of cardinal polynomials is smaller than each of them, so that its limit is smaller.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Number of coefficients from which the size of each term is estimated, and the smallest size of a term relative to the
 # largest one.
@@ -77,7 +77,7 @@ class SpectrumSource(ABC):
 
     Attributes:
         key: Cache key of the spectrum.
-        layout: Grids of the table, with level 0 only.
+        layout: Grids of the table, with mip level 0 only.
         table: Table of coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
         at_kappas: For amplitudes, basis functions of the coefficients at the |κ| whose powers form a row, shape (length
@@ -133,7 +133,7 @@ class SpectrumSource(ABC):
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types of the projection to a number of functions of w."""
+        """Return the kernels and types that project rows of the spectrum to a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
@@ -152,7 +152,7 @@ class WindowedSpectrum(SpectrumSource):
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
-        """Return rows of the spectrum by octave, azimuth and ring.
+        """Return the sampled rows of the power spectrum by octave, azimuth and ring.
 
         The result also contains, for each octave, the index of its first row and its number of azimuth samples.
         """
@@ -295,7 +295,7 @@ def source_for(
 
 
 def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) -> SpectrumSource:
-    """Compute the description of a new spectrum."""
+    """Compute the description of a power spectrum, without its samples."""
     coefficients, at, coherence = table.coefficients, table.arguments, plan.coherence
     count = min(plan.terms, coefficients.terms)
     lanes = lanes_of(count)
@@ -313,7 +313,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         power = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
-        # Amplitudes interfere, so that the zeroth order cannot be a separate power.
+        # Where amplitudes add, the zeroth order interferes with other orders and has no separate power.
         power = np.zeros(0, dtype=np.float32)
         # The number of Chebyshev nodes follows from the oscillations of a power over the range of κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um

@@ -32,7 +32,7 @@ class TableCache:
         coefficients: Coefficients on the host.
         fitted_to: Series to which the last basis was fitted; deleted when a caller requests another series.
         rows: Rows and basis of coefficients on devices.
-        sources: Sources of colour tables, before their spectra are sampled.
+        sources: Descriptions of the power spectra for colour tables, without samples.
         spectra: Samples of the last spectrum, from which tables for other illuminants and materials can be computed.
         colours: Colour tables. No two of them share an array, so that their sizes add up to the memory in use.
     """
