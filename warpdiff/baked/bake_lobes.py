@@ -85,7 +85,7 @@ def bake(
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.
         delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Bright directions are normalised to Y = 0.2;
-            directions below a thousandth of their luminance keep their relative level.
+            directions below a thousandth of their luminance remain darker in proportion.
         coherence: Averaged window or source; None is an averaged window of σ = 16.25 µm.
         strict: Whether a colour difference that the largest table does not meet raises ``ToleranceError``; otherwise it
             is a warning.
@@ -200,9 +200,8 @@ class _Bakery:
         """Sample directions of the hemisphere: one half is uniform, the other half favours bright directions.
 
         Returns:
-            Scattering vectors, geometry factors and XYZ of the directions; and the reference luminance. This is the
-            larger of the 99th percentile and the luminance-weighted median, which is larger if few directions are
-            bright.
+            Scattering vectors, geometry factors and XYZ of the directions; and the reference luminance. The reference
+            luminance is the larger of the 99th percentile and the luminance-weighted median.
         """
         lights, views = hemisphere_pairs(_CANDIDATES, seed)
         gains = reflectance_factors.gain(lights, views, normal=self._evaluation.normal_reflectance, masking=True)

@@ -1,7 +1,7 @@
 """Interpolation of baked lobes: splines along and between the rings of a polar grid over (u, v).
 
 The lobe of an order is at |(u, v)| proportional to λ. The visible wavelengths spread it along the radius over one
-octave, so that colours vary slowly along the radius, like the colour-matching functions. They vary fast with the
+octave, so that colours vary slowly along the radius, like the colour-matching functions. Colours vary fast with the
 azimuth, over the width of the lobe. A Cartesian grid that resolves a lobe requires ten times as many nodes.
 """
 

@@ -49,7 +49,7 @@ class BakedLobes(table_files.SavedTable):
     multiplies by it. With a material, the colours include its reflectance R(θd, λ).
 
     Files contain the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
-    ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. They also contain
+    ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. Files also contain
     ``coherence`` (kind), ``width`` (σ in µm, or the source's diameter in degrees), ``illuminant`` (name),
     ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and ``scale``.
 

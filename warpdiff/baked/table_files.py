@@ -36,7 +36,7 @@ class SavedTable:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the table to a file; an existing file is replaced only after the new one is complete.
 
-        The file is a compressed ``.npz`` of NumPy. It contains ``format`` and the arrays that the class lists.
+        The file is a compressed ``.npz`` of NumPy. The file contains ``format`` and the arrays that the class lists.
 
         Args:
             path: Path of the file, ending in ``.npz``.

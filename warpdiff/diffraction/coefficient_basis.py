@@ -5,7 +5,8 @@ are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the r
 
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. If
   powers add, its rows are half as long and need not be squared.
-- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. They expand powers if powers add,
+- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. The basis expands powers if
+powers add,
   and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions. Polynomials
   need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real surfaces span even
   fewer dimensions.
@@ -50,8 +51,8 @@ _STRONGEST_ROWS = 64
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors that is reported; 0.1 % of the coefficients may have larger errors.
 _PERCENTILE = 99.9
-# Power relative to that of a mirror below which coefficients are rounding noise of the transforms. They get no more
-# weight in a fit than this noise.
+# Power of the rounding noise of the transforms, relative to the power of a mirror. In a fit, coefficients with less
+# power have the weight of this noise.
 _NOISE_POWER = 1e-26
 # Errors of coefficients are relative to |κ|, but to at least this share of the largest |κ|. A smaller share loses
 # digits of the specular coefficient, which does not vanish at κ = 0.
@@ -141,7 +142,7 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The argument is negative, because κ = w/λ is negative.
+    # The argument of the series is negative, because κ = w/λ is negative.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -157,7 +158,7 @@ def fitted(
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The Chebyshev nodes cover the whole range of the table, which avoids extrapolation.
+    # The Chebyshev nodes cover the whole |κ| range of the basis table, which avoids extrapolation.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)

@@ -158,8 +158,8 @@ def _periods_power(
 
 def _interference(turns: float, periods: int) -> float:
     """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, for a phase of t turns between periods."""
-    # The integer part of the phase t [turns] has no effect. Its subtraction before the multiplication by N preserves
-    # digits.
+    # The integer part of the phase t [turns] has no effect. Subtraction of the integer part before the multiplication
+    # by N preserves digits.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

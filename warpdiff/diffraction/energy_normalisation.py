@@ -1,11 +1,11 @@
 """Energy normalisation: reciprocal factors by which the order efficiencies of a perfect mirror sum to 1.
 
 For a perfect mirror, Stam's model gives order m of light from ωi the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr
-w²). K is symmetric in light and view, but its sum over orders, the directional albedo, is not 1. It exceeds 1 at
+w²). K is symmetric in light and view, but its sum over orders, the directional albedo, is not 1. The sum exceeds 1 at
 grazing angles and is below 1 where few orders propagate. Division by the albedo of the incident direction conserves
 energy but violates reciprocity. Here K becomes a(ωi) K a(ωr). The function a of direction and wavelength makes the sums
-over orders 1 for every incident direction, which also preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to
-matrices with prescribed row and column sums).
+over orders 1 for every incident direction and preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to matrices
+with prescribed row and column sums).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers.
+        """Compute the powers of all bins.
 
         Args:
             heightfield: Height field, one period.
@@ -175,11 +175,11 @@ class AchromaticFactors:
 
 @single_threaded_blas()
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
-    """Return the factors of a height field for colours, from a cache.
+    """Return the energy factors of a height field for colours, from the cache if possible.
 
     The sum over orders of a single direction jumps when an order passes the horizon. The factors therefore balance
-    means over random lights of random wavelengths. Each light, like each order, is distributed to the nearest nodes of
-    the grid.
+    means over random lights of random wavelengths. The power of each light and of each order is distributed to the
+    nearest nodes of the grid.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -194,7 +194,7 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # Weight dω cos θ of each light; the lights are uniform in the polar angle.
+        # The weight of each light is its solid angle times cos θ. The lights are uniform in the polar angle.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -253,7 +253,7 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # The next two numbers are y/(|x| + |y|) and x/(|x| + |y|), the inverse of the formula in ``grid_weights``.
+    # The variables y and x contain y/(|x| + |y|) and x/(|x| + |y|), the inverse of the formula in ``grid_weights``.
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -276,7 +276,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """Return the factors of a height field on a grid, for the band of a wavelength [nm], from a cache."""
+    """Return the energy factors on the grid of directions for the band around a wavelength [nm], cached if possible."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band

@@ -34,7 +34,7 @@ def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
 def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
     """Return the transform of the kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
 
-    It is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², for W taps.
+    The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², for W taps.
     """
     root = np.sqrt(_shape(taps) ** 2 - (math.pi * taps * frequency) ** 2)
     return np.asarray(taps * np.sinh(root) / (root * np.i0(_shape(taps))))
@@ -43,7 +43,7 @@ def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.fl
 def tap_polynomials(taps: int) -> NDArray[np.float64]:
     """Return the weights of neighbours as polynomials of the position, shape (taps, degree + 1), highest power first.
 
-    Neighbour i of a position t is ⌊t⌋ − taps/2 + 1 + i. Its weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
+    Neighbour i of a position t is ⌊t⌋ − taps/2 + 1 + i. The neighbour's weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
     """
     nodes = np.cos(math.pi * (np.arange(4 * _DEGREE) + 0.5) / (4 * _DEGREE)) / 2.0
     offsets = taps // 2 - 1 - np.arange(taps)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. It limits the memory of a
-# table, which is proportional to it.
+# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. The memory of a table is
+# proportional to this number.
 MAX_TERMS = 128
 # Limit on the cycles of phase over the height range. A larger number suggests that heights have the wrong unit.
 _MOST_CYCLES = 100.0

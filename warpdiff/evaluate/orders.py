@@ -1,8 +1,8 @@
 """Efficiencies of the diffraction orders of a periodic height field, relative to the incident power.
 
-A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. This
-is the absolute BRDF (Stam 1999) without a window, integrated over the order. Each order has its own w, and therefore
-its own κ = w/λ. Instead of one FFT per order, FFTs at a few κ are computed and interpolated.
+A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. The
+share is the absolute BRDF (Stam 1999) without a window, integrated over the order. Each order has its own w, and
+therefore its own κ = w/λ. Instead of one FFT per order, FFTs at a few κ are computed and interpolated.
 """
 
 from __future__ import annotations

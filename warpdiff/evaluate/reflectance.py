@@ -58,7 +58,7 @@ def spectral_reflectance(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the relative reflectance ρ(λ), which is 1 for a flat mirror in its mirror direction at normal incidence.
 
-    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). It is a
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). ρ is a
     ratio of radiances, without a further cosine, and is not bounded by 1.
 
     Args:

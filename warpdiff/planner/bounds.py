@@ -53,7 +53,8 @@ _SAMPLES_PER_CYCLE = 2.785
 # samples, and the power of a replicated patch by cubics through four samples.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # Typical error of an upper-bound plan in the integral over λ, and also by excluded neighbours, as a share of the
-# tolerance. Fitted: 99th percentile of the errors with the numbers of samples of such plans. It is reported only.
+# tolerance. Fitted: 99th percentile of the errors with the numbers of samples of such plans. The error is only
+# reported.
 _TYPICAL_SHARE = 0.05
 # Number of samples of a replicated patch's power per order in the visible range, at a tolerance of 1. Fitted for random
 # patches of fingers under D65 to HP1; the number is 25 at a tolerance of 1e-2. If halved, the error is 16 times as
@@ -105,9 +106,10 @@ def with_neighbours_of_darkness(plan: Plan) -> Plan:
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Return the number of samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
-    The product of two surface points has the phase 2π/λ times w(h − h') + (u, v)·(x − x'), and the window weights it by
-    exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ. The colour-matching functions add the constant c. The
-    numbers are limited to those that a plan accepts; such plans are refused for their number of wavelengths.
+    The product of two surface points has the phase 2π/λ times w(h − h') + (u, v)·(x − x'). The window weights the
+    product by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ. The colour-matching functions add the
+    constant c. The numbers are limited to those that a plan accepts; such plans are refused for their number of
+    wavelengths.
     """
     if coherence.kind == "replicas":
         # The power of one patch oscillates over 1/λ with at most |u|Lx + |v|Ly cycles per unit.
@@ -118,8 +120,9 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # Samples of a source have equal ratios of λ. At 380 nm, they are further apart than equal steps of 1/λ by this
-    # factor. The window of a source is proportional to λ (van Cittert-Zernike), so that its orders need no such factor.
+    # Samples of a source have equal ratios of λ. The factor ``wider`` is their distance in 1/λ at 380 nm, relative to
+    # equal steps of 1/λ. The window of a source is proportional to λ (van Cittert-Zernike), so that the bandwidth of
+    # its orders needs no such factor.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN

@@ -173,8 +173,8 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # In few directions, nearly all light is the far tail of a bright order. The training set may miss them, so that
-        # neighbours with a weight of at least FLOOR times the tolerance always remain.
+        # In few directions, nearly all light is the far tail of a bright order. The training set may miss these
+        # directions, so that neighbours with a weight of at least FLOOR times the tolerance always remain.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
@@ -202,8 +202,8 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # Once the number of wavelengths is the smallest possible one, further steps of the bandwidth save no time. They
-        # are undone, because repairs would have to undo them first.
+        # Once the number of wavelengths is the smallest possible one, further steps of the bandwidth save no time.
+        # These steps are undone, because repairs would have to undo them first.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
@@ -241,7 +241,7 @@ def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, 
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
-    # The interference factor of the periods has one sample per wavelength and subdivision. This product must not
+    # The interference factor of the periods has one sample per wavelength and subdivision. The product of both must not
     # decrease.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
     return replace(result, wavelengths=count, subdivisions=divisions)

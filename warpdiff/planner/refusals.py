@@ -150,8 +150,8 @@ def warn_of_scalar_error(heightfield: HeightField, plan: Plan) -> None:
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
     """Warn if the directions require frequencies beyond the Nyquist limit of the pitch.
 
-    Coefficients beyond the limit are aliases of those within it. The phase of a window between samples is an exception,
-    so that all neighbours of such a window must be within the limit.
+    Coefficients beyond the limit are aliases of those within it. The phases of a window with its centre between samples
+    are an exception. All neighbours of such a window must therefore be within the limit.
     """
     pitch_um = diagnostics.coarsest_pitch_um(heightfield)
     if pitch_um == 0.0:

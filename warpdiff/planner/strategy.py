@@ -231,7 +231,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
     """Return the upper-bound plan with its mean cost over the sampled directions, without any trial."""
     if _method(request) == "auto":
-        # Without a trial, amplitudes are safer than powers, which may cancel in float32. Their cost is not higher.
+        # Without a trial, amplitudes are safer than powers, which may cancel in float32. Amplitudes do not cost more.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )

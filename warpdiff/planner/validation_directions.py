@@ -99,8 +99,8 @@ def _draw(
 ) -> DirectionSample:  # fmt: skip
     """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each at most once.
 
-    The probability of a direction is proportional to ``measure``. Each index in ``among`` stands for ``represents``
-    candidates, which increases the weights.
+    The probability of a direction is proportional to ``measure``. Each index in ``among`` represents ``represents``
+    candidates, and weights increase by this factor.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 # Limit on the number of sampled directions on which the planner tries plans. If doubled, planning requires more time.
 MOST_SAMPLED = 8192
-# Smallest number of directions of a call that the planner samples, at most every second one. It uses all directions of
-# smaller calls.
+# Smallest number of directions of a call that the planner samples, at most every second one. All directions of smaller
+# calls are used.
 _SAMPLED_FROM = 4096
 # Random seed of the sample, arbitrary; with another seed, plans differ slightly.
 _SEED = 2

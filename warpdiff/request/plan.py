@@ -35,7 +35,7 @@ LABELS = {
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
 # Measured speed of one CPU core [multiply-adds per second]: in sums over wavelengths and while tables are computed; and
-# in table look-ups, whose speed memory limits. They convert predicted costs to the times that a plan reports.
+# in table look-ups, which memory limits. The speeds convert predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Limits on the rings per octave of a colour table.
 MIN_RINGS, MAX_RINGS = 4, 512
@@ -92,9 +92,9 @@ class Plan:
         quadrature: Predicted error of the integral over λ; 0 for a spectrum.
         rounding: Predicted error of float32 arithmetic.
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
-            directions, relative to their power. It is a property of the data and not part of ``error``.
-        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. It is a
-            property of the surface and not part of ``error``.
+            directions, relative to their power. The aliasing is a property of the data and not part of ``error``.
+        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. The bound
+        is a property of the surface and not part of ``error``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
             bounds.
@@ -201,7 +201,7 @@ class Plan:
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether mip levels of the table give the mean over a pixel."""
+        """Whether look-ups compute the mean over a pixel's footprint by mip levels of the table."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property

@@ -306,7 +306,7 @@ def radius(plan: Plan) -> float:
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """Return the number of coefficients along (y, x) on either side of a direction that a table must contain.
 
-    Plans whose least weights are above ``_LEAST_EXTENT_WEIGHT`` have the same extent, and therefore the same fitted
+    Plans with least weights above ``_LEAST_EXTENT_WEIGHT`` have the same extent, and therefore the same fitted
     basis.
     """
     if plan.coherence.kind == "replicas":

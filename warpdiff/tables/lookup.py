@@ -90,7 +90,7 @@ class ColourLookup:
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the table excludes directions, whose wavelengths are then sampled; tables of sources do."""
+        """Whether the table excludes some directions, as tables of sources do; their wavelengths are then sampled."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     def kernel_calls(

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 # Smallest |κ| of the basis, relative to the largest one. At smaller |κ|, only the zeroth order has power.
 _SMALLEST_KAPPA = 1e-3
 # Limits on the truncation error of the functions of w, as shares of the tolerance: for terms of powers, and for
-# cardinal polynomials. The sum of cardinal polynomials is smaller than each of them, so that its limit is smaller.
+# cardinal polynomials in |κ|. Sums of cardinal polynomials may be smaller than each polynomial, so that their limit is
+# stricter.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Number of coefficients from which the size of each term is estimated, and the smallest size of a term relative to the
 # largest one.
@@ -80,8 +81,8 @@ class SpectrumSource(ABC):
         layout: Grids of the table, with mip level 0 only.
         table: Table of coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: For amplitudes, basis functions of the coefficients at the |κ| whose powers form a row, shape (length
-            of a row, lanes). Zeros for powers.
+        at_kappas: For amplitudes, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes). The
+            powers at these |κ| form a row of the spectrum. Zeros for powers.
         zeroth: Zeroth order, which rows exclude unless its power is empty.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
         projections: Projections that were computed already, by illuminant and material.
@@ -168,7 +169,7 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects the samples of one octave together with those of the next octave."""
+        """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Scratch space of each azimuth sample for its rings of both octaves. On the CPU, a slice writes only to the
         # space of its first azimuth samples, and the rest is never in memory.
@@ -203,7 +204,7 @@ NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an endless surface under a source: one line at the frequency of each coefficient."""
+    """Power spectrum of an infinite surface under a source: one line at the frequency of each coefficient."""
 
     has_lines, tap_rule = True, LINE_TAPS
 
