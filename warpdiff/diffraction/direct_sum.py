@@ -80,8 +80,8 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # For a light direction with the component t along an axis, the standard deviation along this axis is multiplied by
-    # √(1 − t²).
+    # For a light direction with the component t along an axis, the Gaussian's standard deviation along this axis is
+    # multiplied by √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um

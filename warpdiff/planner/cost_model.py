@@ -62,7 +62,7 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the radius depends on the wavelength; 0.5 µm is typical.
+        # For a source, the radius of the neighbourhood depends on the wavelength; 0.5 µm is typical.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0

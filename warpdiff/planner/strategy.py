@@ -126,7 +126,7 @@ def directions_of(
 
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return as many directions as a sample of the hemisphere has, by selection or repetition of known directions."""
+    """Return known directions, selected or repeated, as many as a sample of the hemisphere has."""
     checked, _ = validation.directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))

@@ -120,7 +120,7 @@ def _draw(
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Return the indices of edge cases: near the zeroth or a strong order, of large gain, or at the ends of a range."""
+    """Return the indices of edge cases: near a strong order, with a large geometry factor, or at the end of a range."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)

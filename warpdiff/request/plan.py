@@ -94,7 +94,7 @@ class Plan:
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
             directions, relative to their power. The aliasing is a property of the data and not part of ``error``.
         scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. The bound
-        is a property of the surface and not part of ``error``.
+            is a property of the surface and not part of ``error``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
             bounds.

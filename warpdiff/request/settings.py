@@ -51,7 +51,7 @@ class CommonSettings(Checked):
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. Results are
             relative to the reflectance at normal incidence.
         material: Material of the surface instead of ``ior``; results are then relative to a perfect mirror. Pictures
-        also accept a mapping from the names of a mesh's geometries to materials.
+            also accept a mapping from the names of a mesh's geometries to materials.
         strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it causes a warning.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core. Results do not depend on it.
