@@ -6,10 +6,9 @@ are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the r
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. If
   powers add, its rows are half as long and need not be squared.
 - ``"low-rank"``: the principal functions of κ of the height field's own coefficients. The basis expands powers if
-powers add,
-  and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions. Polynomials
-  need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real surfaces span even
-  fewer dimensions.
+  powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
+  Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
+  surfaces span even fewer dimensions.
 """
 
 from __future__ import annotations

@@ -206,7 +206,7 @@ def _coefficients(
     # The zeroth order always propagates, so that ``kappas`` is not empty. The least width of 1e-9 avoids a division by
     # zero if there is a single order.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # As a function of κ, exp(2πiκh) has the Jacobi-Anger series, whose terms vanish beyond this argument.
+    # The Jacobi-Anger series of exp(2πiκh) over this range of κ has negligible terms beyond the order ``argument``.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half

@@ -39,7 +39,7 @@ _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """Return the number of wavelengths that directions require; numbers or arrays."""
+    """Return the number of wavelengths that directions require, for numbers or arrays of order rates and |w|."""
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 

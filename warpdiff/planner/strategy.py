@@ -99,9 +99,10 @@ def plan(
 def directions_of(
     request: Evaluation, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
-    """Return the range of the directions, a sample of them, and their number; None is the whole hemisphere.
+    """Return the range of the directions, a sample of them, and their number.
 
-    If one side is the whole hemisphere, the number is infinite, and the plan is made for many directions.
+    An argument of None means the whole hemisphere. The number of directions is then infinite, and the plan is made for
+    many directions.
     """
     heightfield, coherence = request.heightfield, request.coherence
     hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)

@@ -26,7 +26,7 @@ _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDic
 
 
 class TableCache:
-    """Tables of one height field.
+    """Cached tables of one height field.
 
     Attributes:
         coefficients: Coefficients on the host.
