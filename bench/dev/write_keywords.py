@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = ROOT / "warpdiff" / "request" / "settings.py"
 KEYWORDS = ROOT / "warpdiff" / "request" / "keywords.py"
-HEAD = '''"""Keyword arguments of public functions, for type checkers; by ``python -m bench.dev.write_keywords``."""
+HEAD = '''"""Types of the keyword arguments of public functions, written by ``python -m bench.dev.write_keywords``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``bake``: the smallest table of a height field's colours that keeps a colour difference."""
+"""``bake``: computes the smallest table of a height field's colours that meets a colour difference."""
 
 from __future__ import annotations
 
@@ -39,29 +39,33 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Rings per octave, and azimuths per standard deviation of a lobe, from small to large tables.
+# Sizes of tables in ascending order: rings per octave, and azimuth samples per standard deviation of a lobe.
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
-# Lobes are narrowest where light is bluest: at this wavelength what is narrower hardly shows [µm].
+# Wavelength at which the grid of a table must resolve a lobe [µm]. Lobes of shorter wavelengths are narrower, but
+# contribute little to the visible colour.
 _BLUE_UM = 0.43
-# Share of the tolerance that functions of w may omit. The second number is the relative error of XYZ, per unit of
-# ΔE2000, of the sampled colour table.
+# Largest truncation error of the functions of w, as a share of the tolerance; and relative tolerance of the sampled
+# XYZ, per unit of the accepted ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# Usual number of sampled colours, and limit of their time [s of a core]. The estimate for a source of 2° over 12.8 µm
-# is 83 s; it takes 25 s.
+# Typical number of sampled colours, and limit on their estimated time [s on one core]. For a source of 2° over a patch
+# of 12.8 µm, the estimate is 83 s and the measured time is 25 s.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
-# Below, both light and view graze, and colours go on as w².
+# Smallest sampled |w|. Smaller |w| occur only if light and view are both grazing; colours are then proportional to w².
 _SMALLEST_W = 0.06
+# Number of entries of a table over |w|, and over |κ| for the zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
-# A material's reflectance is kept at so many angles, and every so many nanometres.
+# Grid of a baked material's reflectance: number of cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# Directions that judge, and that functions are fitted to: as many at random as for being bright, of so many.
+# Size of both halves of the validation set (uniform directions, and bright ones), number of random candidates from
+# which they are selected, and random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# A colour is shown so bright, unless it is below a thousandth of the bright ones, when errors are judged.
+# Luminance Y to which colours are normalised before ΔE2000 is computed. Colours below the second number, relative to
+# the reference luminance, are normalised together and remain darker.
 _SHOWN, _FLOOR = 0.2, 1e-3
-# Memory of a node of a table [bytes], as measured.
+# Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170
-# Largest height range that is baked [µm]. Limit: powers of deeper relief oscillate over more w than can be sampled in a
-# minute.
+# Limit: largest height range of a baked height field [µm]. The powers of a deeper relief oscillate over w so fast that
+# their samples require more than a minute.
 _MOST_HEIGHT_UM = 12.0
 
 
@@ -73,29 +77,29 @@ def bake(
 ) -> BakedLobes:  # fmt: skip
     """Bake the colours of all directions into the smallest table that meets a colour difference.
 
-    The table needs neither the height field nor this library's kernels: web pages and other renderers read it.
+    Web pages and other renderers can use the table without the height field and without this library.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.
         delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Bright directions are normalised to Y = 0.2;
-            directions below a thousandth of their luminance keep their relative level.
+            directions below a thousandth of their luminance remain darker in proportion.
         coherence: Averaged window or source; None is an averaged window of σ = 16.25 µm.
         strict: Whether a colour difference that the largest table does not meet raises ``ToleranceError``; otherwise it
             is a warning.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core.
-        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
+        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:
-        The table, with the measured error.
+        Table with its measured error.
 
     Raises:
-        ValueError: A bad argument, a coherence of amplitudes, or a transparent material.
+        ValueError: An argument is out of its range, the coherence adds amplitudes, or the material is transparent.
         ToleranceError: The colour difference cannot be met, and ``strict`` is True.
-        MemoryError: More memory than is free; the message states what fits.
+        MemoryError: The table requires more memory than is free.
 
     Examples:
         >>> import warpdiff as wd
@@ -129,7 +133,7 @@ def bake(
 
 
 class _Bakery:
-    """Samplers of a height field's colours, and the directions that validate a table."""
+    """Computation of baked tables: look-up of a height field's colours, and a validation set of directions."""
 
     def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance
@@ -146,12 +150,12 @@ class _Bakery:
             threads=evaluation.threads,
         )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
-        # As many nodes of |w| as a power of the shortest wavelength oscillates over them.
+        # The number of Chebyshev nodes of |w| follows from the oscillations of a power at the shortest wavelength.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
-        """The first table that meets the tolerance, or the largest."""
+        """Return the smallest table that meets the tolerance, or the largest one with a warning or an error."""
         for result in self._tables(progress):
             if result.error <= self._tolerance:
                 break
@@ -167,7 +171,7 @@ class _Bakery:
         return result
 
     def _tables(self, progress: Callable[[float], None]) -> Iterator[BakedLobes]:
-        """Tables from small to large, with their errors."""
+        """Yield tables in ascending order of size, each with its measured error."""
         principal, evaluation = self._functions(), self._evaluation
         coherence, material = evaluation.coherence, evaluation.illuminated[0].material
         zeroth = ZerothOrder.of_heights(evaluation.heightfield, coherence, (0.0, LARGEST_KAPPA), _ENTRIES_OF_KAPPA)
@@ -193,9 +197,11 @@ class _Bakery:
                 yield replace(table, error=self._error(table.colours(self._validation_set, zeroth_order=False)))
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Scattering vectors at random, and as many that were drawn for being bright, with their gains and colours.
+        """Sample directions of the hemisphere: one half is uniform, the other half favours bright directions.
 
-        The last is how bright all are: percentile 99, or, of sparse ones, that above which half of the light lies.
+        Returns:
+            Scattering vectors, geometry factors and XYZ of the directions; and the reference luminance. The reference
+            luminance is the larger of the 99th percentile and the luminance-weighted median.
         """
         lights, views = hemisphere_pairs(_CANDIDATES, seed)
         gains = reflectance_factors.gain(lights, views, normal=self._evaluation.normal_reflectance, masking=True)
@@ -214,7 +220,7 @@ class _Bakery:
         return scattering_vectors[places], gains[places], colours[places], level
 
     def _colours(self, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """XYZ without the zeroth order, of light from above, for gains of 1, (n, 3)."""
+        """Return XYZ without the zeroth order, for geometry factors of 1 and a source at normal incidence, (n, 3)."""
         count = len(scattering_vectors)
         above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
         xyz = wp.zeros(count, dtype=wp.vec3f, device=self._evaluation.device)
@@ -226,11 +232,11 @@ class _Bakery:
         return np.asarray(xyz.numpy().astype(np.float64))
 
     def _between_nodes(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Weights of the polynomial through what is at the nodes of |w|, (n, nodes); constant below these."""
+        """Return interpolation weights of the Chebyshev nodes of |w|, shape (n, nodes); constant below the nodes."""
         return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Colours over w² at (u, v), at all nodes of |w|, shape (n, 3, nodes)."""
+        """Return colours divided by w² at points (u, v) and at all nodes of |w|, shape (n, 3, nodes)."""
         return np.stack([self._at(uv, w) for w in self._ws], axis=2)
 
     def _at(self, uv: NDArray[np.float64], w: float) -> NDArray[np.float64]:
@@ -238,7 +244,7 @@ class _Bakery:
 
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
-        """Orthonormal functions at the nodes of |w|, as few as keep their share of the tolerance, (nodes, K)."""
+        """Return the fewest orthonormal functions of |w| that meet their share of the tolerance, shape (nodes, K)."""
         samples = self._over_w(self._sampled(_SEED + 1)[0][:, :2])
         sizes = np.sqrt(np.mean(samples**2, axis=2, keepdims=True))
         rows = (samples / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
@@ -253,9 +259,9 @@ class _Bakery:
         return np.asarray(basis)
 
     def _error(self, colours: NDArray[Any]) -> float:
-        """Percentile 99 of ΔE2000 of the judges' colours, of those at random or of the bright ones.
+        """Return the 99th percentile of ΔE2000 over the uniform or the bright validation directions, the larger one.
 
-        The zeroth order, which is the same for both, is excluded.
+        The zeroth order is excluded, because table and reference have the same closed form for it.
         """
         if self._bright <= 0.0:
             return 0.0

@@ -1,4 +1,4 @@
-"""``bake_spectrum``: the power spectrum of a height field over q = (u, v)/λ, for renderers that sample wavelengths."""
+"""``bake_spectrum``: tabulates the power spectrum over q = (u, v)/λ, for renderers that sample wavelengths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of entries over κ.
+# Number of entries over |κ|, for the functions of κ and for the zeroth order.
 _ENTRIES = 512
 
 
@@ -36,23 +36,24 @@ def bake_spectrum(
 ) -> BakedSpectrum:  # fmt: skip
     """Bake the power spectrum of all directions and visible wavelengths.
 
-    A renderer that samples wavelengths looks it up at q = (u, v)/λ and κ = w/λ. Lobes narrower than a cell are blurred
-    to it and keep their power: 1,024 cells per side are 1.5 standard deviations of a lobe of σ = 16.25 µm wide.
+    A renderer that samples wavelengths looks up the spectrum at q = (u, v)/λ and κ = w/λ. Each cell contains the mean
+    over its area, so that narrow lobes are blurred but retain their power. With 1,024 cells per side, a cell has 1.5
+    times the standard deviation of a lobe for σ = 16.25 µm.
 
     Args:
-        heightfield: The height field.
-        size: Cells along each side.
+        heightfield: Height field.
+        size: Number of cells along each side.
         tolerance: Truncation error of the basis in κ, relative as for :func:`warpdiff.spectral_reflectance`.
-        coherence: Averaged window, whose lobes are equally wide in q at all wavelengths; None has σ = 16.25 µm.
+        coherence: Averaged window, whose lobes have the same width in q at all wavelengths; None has σ = 16.25 µm.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core.
 
     Returns:
-        The table.
+        Table of the power spectrum.
 
     Raises:
-        ValueError: A bad argument, or another kind of coherence.
-        MemoryError: More memory than is free; the message states what fits.
+        ValueError: An argument is out of its range, or the coherence is not an averaged window.
+        MemoryError: The table requires more memory than is free; the message states the size that fits.
 
     Examples:
         >>> import warpdiff as wd
@@ -97,7 +98,7 @@ def bake_spectrum(
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
-    """Means over cells of exp(−(falloff (q − q_r))²) along an axis, (size, orders)."""
+    """Return the means of the Gaussians exp(−(falloff (q − q_r))²) over the cells of an axis, shape (size, orders)."""
     from scipy.special import erf
 
     edges = np.linspace(-largest, largest, size + 1)

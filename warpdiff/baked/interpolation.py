@@ -1,8 +1,8 @@
-"""Interpolation of baked lobes: splines around and between the rings of a polar grid over (u, v).
+"""Interpolation of baked lobes: splines along and between the rings of a polar grid over (u, v).
 
-As λ goes from red to blue, a lobe runs along a ray of (u, v) over one octave: colours change along it as slowly as the
-observer's curves do, in ln |(u, v)|, and across it as fast as a lobe is narrow. A Cartesian grid that resolves a lobe
-requires ten times as many nodes.
+The lobe of an order is at |(u, v)| proportional to λ. The visible wavelengths spread it along the radius over one
+octave, so that colours vary slowly along the radius, like the colour-matching functions. Colours vary fast with the
+azimuth, over the width of the lobe. A Cartesian grid that resolves a lobe requires ten times as many nodes.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from warpdiff.tables.polar_grid import PolarGrid, azimuth_counts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Limit: |(u, v)| ends here.
+# Largest |(u, v)|, that of two unit vectors at grazing angles.
 _LARGEST = 2.0
-# Share of a lobe's standard deviation within which colours do not change.
+# Radius of the innermost ring relative to the standard deviation of a lobe. Within this radius, colours are constant.
 _FLAT_WITHIN = 0.05
 
 
 def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
-    """The grid of baked lobes with so many rings per octave, and so many azimuths on those of each octave."""
+    """Return the polar grid of baked lobes, by rings per octave and azimuth samples per ring of each octave."""
     return PolarGrid(rings, math.log(_LARGEST) - ring_of_largest(rings, azimuths) * math.log(2.0) / rings, azimuths)
 
 
 def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
-    """The ring with |(u, v)| = 2; cubics reach one beyond it."""
+    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also requires the ring beyond it."""
     return rings * len(azimuths) - 2
 
 
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
-    """The grid for lobes of a standard deviation in (u, v), with so many azimuths in each of these."""
+    """Return the grid for lobes of a standard deviation ``width`` in (u, v), by azimuth samples per ``width``."""
     octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
     tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
     return lobe_grid(rings, tuple(azimuth_counts(tops, width, azimuths_per_width).astype(int).tolist()))
 
 
 def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Coefficients of the periodic cubic B-spline that passes through each ring's values, (nodes, ...)."""
+    """Return the coefficients of the periodic cubic B-spline through the values of each ring, shape (nodes, ...)."""
     result = np.empty_like(values)
     for first, azimuths in zip(grid.starts[:-1], grid.ring_azimuths, strict=True):
         spectrum = np.fft.rfft(values[first : first + azimuths], axis=0)
@@ -53,7 +53,7 @@ def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray
 
 
 def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values at (u, v), shape (n, 2): by the splines around four rings, and the cubic through these."""
+    """Interpolate at points (u, v), shape (n, 2): by splines along four rings, and by a cubic across these rings."""
     u, v = uv.T
     last = ring_of_largest(grid.rings, grid.azimuths)
     ring = np.log2(np.maximum(np.hypot(u, v) / _LARGEST, 0.5 * 2.0 ** (-last / grid.rings))) * grid.rings + last
@@ -77,7 +77,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Weights of a cubic B-spline's coefficients at −1, 0, 1 and 2, at places t within 0 to 1."""
+    """Return the weights of the coefficients at −1, 0, 1 and 2 in a cubic B-spline at positions t from 0 to 1."""
     left = 1.0 - t
     return [
         left**3 / 6.0, 2.0 / 3.0 - t**2 + t**3 / 2.0, 2.0 / 3.0 - left**2 + left**3 / 2.0, t**3 / 6.0

@@ -21,17 +21,20 @@ from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Largest |w|: both directions along the normal.
+# Largest |w| of a scattering vector (u, v, w), for light and view along the normal.
 LARGEST_W = 2.0
-# |κ| of the zeroth order's entries end at that of the largest |w| and the shortest wavelength [1/µm].
+# Largest |κ| of the zeroth order, derived from the largest |w| and the shortest visible wavelength [1/µm].
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
-# Number of functions of w. Limit: registers of shaders.
+# Limit: number of functions of w, so that a shader can store their values in its registers.
 MOST_W_BASIS = 16
-# Number of wavelengths of the zeroth order.
+# Number of wavelengths in the integral of the zeroth order.
 _ZEROTH_WAVELENGTHS = 40
-# Memory of a look-up [bytes], as measured.
+# Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
+# Limits on the grid of a loaded file: rings per octave, octaves, and azimuth samples per ring.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
+# Limits on arguments: size of a Cartesian grid [cells per side], and wavelength at which a lobe's variance is computed
+# [µm].
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
 
@@ -41,31 +44,31 @@ class BakedLobes(table_files.SavedTable):
     """Table of a height field's colours in all directions: XYZ(u, v, w) = w² Σ_k c_k(u, v) f_k(w) + the zeroth order.
 
     f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
-    cubic B-spline interpolates around each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
+    cubic B-spline interpolates along each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
     |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
     multiplies by it. With a material, the colours include its reflectance R(θd, λ).
 
-    Files hold the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
-    ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. They also hold
+    Files contain the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
+    ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. Files also contain
     ``coherence`` (kind), ``width`` (σ in µm, or the source's diameter in degrees), ``illuminant`` (name),
     ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and ``scale``.
 
     Attributes:
         coherence: Averaged window or source. Lobes of a source are those at normal incidence; at oblique incidence they
-            keep their power but are too wide.
+            have the correct power but are too wide.
         illuminant: Name of an illuminant, or a ``Spectrum``.
         tolerance: Requested 99th percentile of ΔE2000.
         error: Measured 99th percentile of ΔE2000 over directions of the whole hemisphere.
         grid: Polar grid of the nodes.
-        functions: f_k at equal steps of |w| from 0 to 2, shape (entries, K), float32; linear in between.
+        functions: f_k at equally spaced |w| from 0 to 2, for linear interpolation, shape (entries, K), float32.
         scale: Magnitude of the largest coefficient.
-        exponents: Magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8: 255 is ``scale``, each
-            step less is an eighth octave less.
-        mantissas: Coefficients in 127ths of that magnitude, shape (nodes, 3, K), int8; or in 32767ths, int16, for lobes
-            whose brightness varies strongly with w.
-        zeroth: |H₀₀|² at equal steps of |κ| from 0 to 2 / 0.38 µm, shape (entries,), float32; linear in between.
-        reflectances: R of the material at equal steps of cos θd from 0 to 1 and of the wavelength from 380 to 780 nm,
-            shape (angles, wavelengths), float32, linear in between; None without a material.
+        exponents: Largest magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8. The value 255
+            means ``scale``; each smaller value divides the magnitude by 2^(1/8).
+        mantissas: Coefficients in units of 1/127 of that magnitude, shape (nodes, 3, K), int8; or in units of 1/32767,
+            int16, for lobes with a brightness that varies strongly with w.
+        zeroth: |H₀₀|² at equally spaced |κ| from 0 to 2 / 0.38 µm, for linear interpolation, shape (entries,), float32.
+        reflectances: R of the material at equally spaced cos θd from 0 to 1 and wavelengths from 380 to 780 nm, for
+            linear interpolation, shape (angles, wavelengths), float32; None without a material.
 
     Examples:
         >>> import warpdiff as wd
@@ -142,11 +145,11 @@ class BakedLobes(table_files.SavedTable):
 
     @forks.cached_property
     def coefficients(self) -> NDArray[np.float32]:
-        """The splines' coefficients at the nodes, shape (nodes, 3, K)."""
+        """Spline coefficients at the nodes, shape (nodes, 3, K)."""
         return quantisation.dequantise(self.scale, self.exponents, self.mantissas)
 
     def colours(self, scattering_vectors: ArrayLike, *, zeroth_order: bool = True) -> NDArray[np.float32]:
-        """Colours of scattering vectors, for a geometry factor of 1.
+        """Return the colours of scattering vectors, for a geometry factor of 1.
 
         Args:
             scattering_vectors: (u, v, w) = −ωi − ωr, shape (n, 3).
@@ -173,13 +176,13 @@ class BakedLobes(table_files.SavedTable):
         return np.asarray(result, dtype=np.float32)
 
     def cartesian(self, size: int = 1024) -> NDArray[np.float32]:
-        """Coefficients on a Cartesian grid over (u, v), at the centres of its cells; 0 outside the disc |(u, v)| ≤ 2.
+        """Return the coefficients at the cell centres of a Cartesian grid over (u, v); 0 outside the disc |(u, v)| ≤ 2.
 
         Args:
             size: Number of cells from −2 to 2 along each axis, 2 to 2048.
 
         Returns:
-            Coefficients, shape (size, size, 3, K), float32; the first index goes along v, the second along u.
+            Coefficients, shape (size, size, 3, K), float32; the first index is along v, the second along u.
         """
         validation.count(size, "size", least=2, most=_MOST_SIZE)
         memory.require_memory(
@@ -196,7 +199,7 @@ class BakedLobes(table_files.SavedTable):
     def reflectance(
         self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
-        """Colours of the reflectance, as :func:`warpdiff.reflectance` computes them, up to ``error``.
+        """Return the colours that :func:`warpdiff.reflectance` computes, with an error of ``error``.
 
         Args:
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
@@ -219,7 +222,7 @@ class BakedLobes(table_files.SavedTable):
         return ZerothOrder(self.zeroth, 0.0, LARGEST_KAPPA, self.coherence)
 
     def _zeroth_order(self, uv: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Reflectance of the mean plane, for a gain of 1, where it is not 0."""
+        """Return XYZ of the zeroth order for a geometry factor of 1, shape (n, 3)."""
         result = np.zeros((len(uv), 3))
         wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, self.illuminant)
         square = uv[:, 0] ** 2 + uv[:, 1] ** 2
@@ -230,7 +233,7 @@ class BakedLobes(table_files.SavedTable):
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Variance of a lobe in (u, v) along each axis, at a wavelength [µm], above 0 and at most 10."""
+        """Return the variance of a lobe along u or v at a wavelength of more than 0 and at most 10 µm."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         return self._zeroth.lobe_variance(wavelength_um)
 
@@ -269,7 +272,7 @@ class BakedLobes(table_files.SavedTable):
 
 
 def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
-    """R(0) of an index of refraction, None for 1.5; 1 of a material, which excludes an index."""
+    """Return R(0) for an index of refraction, where None is 1.5; or 1 for lobes with a baked material."""
     if not lobes.has_material:
         return check_reflection(ior, None)[0]
     if ior is not None:
@@ -278,12 +281,12 @@ def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
 
 
 def zeroth_order_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: float) -> NDArray[np.float64]:
-    """Power of the zeroth order at |w| and 1/λ [1/µm], at the peak of its lobe, for a geometry factor of 1."""
+    """Return the peak power of the zeroth order at |w| and 1/λ [1/µm], for a geometry factor of 1, shape (n,)."""
     power = lobes._zeroth.at(w * wavenumber)
     if lobes.reflectances is None:
         return power
     low, high = colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM
     at = np.full(1, (1e3 / wavenumber - low) / (high - low))
-    # In the mirror direction cos θd is half of w.
+    # In the mirror direction, cos θd is |w|/2.
     reflectances = between_entries(between_entries(lobes.reflectances.T, at).T, w / LARGEST_W)[:, 0]
     return np.asarray(power * reflectances)

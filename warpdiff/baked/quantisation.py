@@ -1,7 +1,8 @@
-"""Quantisation: signed integers of one or two bytes with a shared exponent per group.
+"""Quantisation: groups of numbers as signed integers of one or two bytes, with an exponent per group.
 
-An entry's error is half a step of its own largest number, however much larger others are. Exponents are eighths of an
-octave, of which a byte holds 32 octaves; what lies below them is 0.
+The integers of a group count steps: the largest magnitude of the group divided by 127 or 32767. The error of a number
+is at most half a step. Exponents count factors of 2^(1/8). An exponent of one byte therefore covers a range of 2^32;
+groups of smaller numbers become 0.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Steps of an octave's exponent.
+# Number of exponents per factor of 2; the step between exponents is 2^(1/8).
 EIGHTHS = 8
 
 
 def quantise(values: NDArray[np.float32], dtype: Any = np.int8) -> tuple[float, NDArray[np.uint8], NDArray[Any]]:
-    """The scale of all, the exponents (...,) and the whole numbers (..., m), of a type, of values (..., m)."""
+    """Quantise values, shape (..., m), with one exponent per group of m values.
+
+    Returns:
+        Magnitude of the largest value; exponents, shape (...,); and integers of the type ``dtype``, shape (..., m).
+    """
     largest = np.iinfo(dtype).max
     sizes = np.abs(values).max(axis=-1, initial=0.0)
     scale = float(sizes.max(initial=0.0)) or 1.0
@@ -30,6 +35,6 @@ def quantise(values: NDArray[np.float32], dtype: Any = np.int8) -> tuple[float, 
 
 
 def dequantise(scale: float, exponents: NDArray[np.uint8], mantissas: NDArray[Any]) -> NDArray[np.float32]:
-    """The values of exponents (...,) and whole numbers (..., m)."""
+    """Return the values that exponents, shape (...,), and integers, shape (..., m), represent."""
     steps = scale * 2.0 ** ((exponents.astype(np.float32) - 255.0) / EIGHTHS) / np.iinfo(mantissas.dtype).max
     return np.asarray(steps[..., None] * mantissas, dtype=np.float32)

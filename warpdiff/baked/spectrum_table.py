@@ -15,7 +15,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Cells along a side. Limit: memory.
+# Limit: number of cells per side; memory is proportional to its square.
 _MOST_SIZE = 8192
 
 
@@ -23,18 +23,18 @@ _MOST_SIZE = 8192
 class BakedSpectrum(table_files.SavedTable):
     """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
-    q = (u, v)/λ and κ = w/λ. Each cell holds the mean over its area, so the sum over cells is the power at any
-    resolution. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²). In two dimensions, 4πσ² times the power
-    is a density whose integral over q is 1, as Σ|H|² is. Files hold the attributes by name.
+    q is (u, v)/λ, and κ is w/λ. Each cell contains the mean over its area, so that the total power does not depend on
+    the size of the cells. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²). With the zeroth order, the
+    integral of 4πσ² times the power over q is Σ|H|² = 1. Files contain the attributes by name.
 
     Attributes:
         sigma_um: Standard deviation σ of the window [µm].
         largest_q: Half the side of the square of cells, which is centred on q = 0 [1/µm].
-        powers: s_k of the cells, shape (size, size, K), float32; the first index goes along v, the second along u.
+        powers: s_k of the cells, shape (size, size, K), float32; the first index is along v, the second along u.
         least_kappa: |κ| of the first entry of ``functions`` [1/µm].
         largest_kappa: |κ| of the last entry of ``functions`` [1/µm].
-        functions: f_k at equal steps of |κ|, shape (entries, K), float32; linear in between.
-        zeroth: |H₀₀|² at the same |κ|, shape (entries,), float32.
+        functions: f_k at equally spaced |κ|, for linear interpolation, shape (entries, K), float32.
+        zeroth: |H₀₀|² at the |κ| of ``functions``, shape (entries,), float32.
 
     Examples:
         >>> import warpdiff as wd

@@ -1,4 +1,4 @@
-"""Files of named arrays: compressed ``.npz`` of NumPy, checked before they are unpacked."""
+"""Files of baked tables: compressed ``.npz`` files of NumPy with named arrays, checked before they are unpacked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class SavedTable:
-    """Table that is a file of its attributes by name, unless a class says otherwise.
+    """Base class of tables with a file format: a file contains the attributes by name, unless a subclass differs.
 
     Attributes:
         FORMAT: Value of ``format`` in the file.
@@ -25,30 +25,30 @@ class SavedTable:
     FORMAT: ClassVar[str]
 
     def _arrays(self) -> dict[str, Any]:
-        """Numbers, texts and arrays by name."""
+        """Return the numbers, strings and arrays of a file by name."""
         return vars(self)
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """The table of the arrays of a file; any exception means that these are not such a table's."""
+        """Return the table of a file's arrays; raise an exception of any type if they do not describe such a table."""
         return cls(**{name: value if value.ndim else float(value) for name, value in arrays.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the table to a file; an existing file is replaced only after the new one is complete.
 
-        The file is a compressed ``.npz`` of NumPy. It holds ``format`` and the arrays that the class lists.
+        The file is a compressed ``.npz`` of NumPy. The file contains ``format`` and the arrays that the class lists.
 
         Args:
             path: Path of the file, ending in ``.npz``.
 
         Returns:
-            The path.
+            Path of the file.
         """
         return files.save_arrays(path, {"format": self.FORMAT, **self._arrays()})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a table from a file of :meth:`save`.
+        """Read a table from a file that :meth:`save` wrote.
 
         Args:
             path: Path of the file.
@@ -71,7 +71,7 @@ class SavedTable:
 
 
 def _read(source: Path, expected: str) -> dict[str, Any]:
-    """The arrays of a file with the expected ``format``."""
+    """Return the arrays of a file by name; raise an error if its ``format`` is not the expected one."""
     with files.naming_file(source), source.open("rb") as file:
         with zipfile.ZipFile(file) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
@@ -86,9 +86,9 @@ def _read(source: Path, expected: str) -> dict[str, Any]:
 
 
 def check(owner: Any, **expected: tuple[Any, tuple[int | None, ...]]) -> None:
-    """Refuse attributes that are not arrays of a type and a shape, or not finite; from now on they are read-only.
+    """Check the type, shape and finiteness of array attributes, and make the arrays read-only.
 
-    None in a shape stands for at least two entries.
+    None in a shape means at least two entries.
     """
     for name, (dtype, shape) in expected.items():
         array = getattr(owner, name)

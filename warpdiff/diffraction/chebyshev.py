@@ -1,4 +1,4 @@
-"""Interpolation by polynomials through values at Chebyshev nodes, and by cubics between equally spaced values."""
+"""Polynomial interpolation at Chebyshev nodes, and cubic interpolation between equally spaced values."""
 
 from __future__ import annotations
 
@@ -12,31 +12,34 @@ if TYPE_CHECKING:
 
 
 def nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Chebyshev nodes in the range ``low`` to ``high``, in descending order."""
+    """Return the Chebyshev nodes in the range ``low`` to ``high``, in descending order."""
     return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * np.cos(_angles(count)))
 
 
 def terms(count: int) -> NDArray[np.float64]:
-    """Chebyshev polynomials T_n at the nodes, shape (count of n, count of nodes)."""
+    """Return the Chebyshev polynomials T_n at the Chebyshev nodes, shape (count of n, count of nodes)."""
     return np.asarray(np.cos(np.outer(np.arange(count), _angles(count))))
 
 
 def to_series(count: int) -> NDArray[np.float64]:
-    """Matrix from values at the nodes to the coefficients of T_n, shape (count of nodes, count of n)."""
+    """Return the matrix from values at the nodes to coefficients of T_n, shape (count of nodes, count of n)."""
     result = terms(count).T * (2.0 / count)
     result[:, 0] /= 2.0
     return result
 
 
 def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Cardinal polynomials, which are 1 at one node and 0 at the others, at places ``at``; shape (len(at), count)."""
+    """Return the cardinal polynomials, which are 1 at one node and 0 at all others, at positions ``at``.
+
+    The result has the shape (len(at), count).
+    """
     position = np.clip((at - (low + high) / 2.0) / ((high - low) / 2.0 or 1.0), -1.0, 1.0)
     series = np.cos(np.arccos(position)[:, None] * np.arange(count))
     return np.asarray(series @ to_series(count).T)
 
 
 def cubic_weights(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Weights of the values at −1, 0, 1 and 2 in the cubic through them, at places t from 0 to 1."""
+    """Return the weights of values at −1, 0, 1 and 2 in the cubic through them, at positions t from 0 to 1."""
     before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
     return [
         -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0

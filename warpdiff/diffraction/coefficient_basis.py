@@ -1,14 +1,14 @@
-"""Expansion of the Fourier coefficients in functions of κ: a row of numbers per coefficient times a shared basis.
+"""Expansion of Fourier coefficients in functions of κ: each coefficient is a row of weights times a shared basis.
 
 ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
 are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the range of κ of a scene:
 
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. If
   powers add, its rows are half as long and need not be squared.
-- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. They expand powers if powers add,
-  and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions. Polynomials
-  need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real surfaces span even
-  fewer dimensions.
+- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. The basis expands powers if
+  powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
+  Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
+  surfaces span even fewer dimensions.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ POWER_METHODS = ("power",)
 _STEPS_PER_RADIAN = 16
 # Fewest entries of the table, for shallow surfaces: their powers do not oscillate but grow as κ²ⁿ.
 _FEWEST_STEPS = 64
-# Error of the truncated series to which bases are fitted; it is that of float32.
+# Error of the truncated series to which bases are fitted, about the rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
-# Truncation error at which a fitted basis has enough terms; it is that of float32.
+# Truncation error at which a fitted basis has enough terms, about the rounding error of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
 # Number of the largest coefficients, which have the same total weight in a fit as all others. The specular reflection
 # is one coefficient of a million.
 _STRONGEST_ROWS = 64
 # Number of coefficients on which truncation errors are measured.
 _SAMPLED_ROWS = 20_000
-# Percentile of these errors that is reported; 0.1 % of the coefficients may have larger errors.
+# Percentile of the truncation errors that is reported; 0.1 % of the coefficients may have larger errors.
 _PERCENTILE = 99.9
-# Power relative to that of a mirror below which coefficients are rounding noise of the transforms. They get no more
-# weight in a fit than this noise.
+# Power of the rounding noise of the transforms, relative to the power of a mirror. In a fit, coefficients with less
+# power have the weight of this noise.
 _NOISE_POWER = 1e-26
-# Errors are relative to |κ|, but to at least this share of the largest |κ|. A smaller share loses digits of the
-# specular coefficient, which does not vanish at κ = 0.
+# Errors of coefficients are relative to |κ|, but to at least this share of the largest |κ|. A smaller share loses
+# digits of the specular coefficient, which does not vanish at κ = 0.
 _SMALL_KAPPA = 0.1
-# Number of coefficients that are processed at once, which limits memory.
+# Limit: number of coefficients that are processed at once; memory is proportional to it.
 _CHUNK = 65_536
 # Limit on the values of a Taylor basis, within the range of float32; only series far beyond their range exceed it.
 _LARGEST = 1e30
@@ -74,7 +74,7 @@ class Coefficients:
         kappa_low: Lower end of the range of |κ| [1/µm].
         step: Distance of the entries [1/µm].
         truncation_errors: Errors of a fitted basis with the first n terms, n = 0 … terms, relative to the largest value
-            of a coefficient in the range. Empty for a series, whose remainder has a bound.
+            of a coefficient in the range. Empty for a series, because its error has a known bound.
     """
 
     rows: NDArray[np.float32]
@@ -85,11 +85,11 @@ class Coefficients:
 
     @property
     def terms(self) -> int:
-        """Number of terms."""
+        """Number of basis functions."""
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Basis functions at |κ| [1/µm], by the cubic interpolation of the kernels, shape (len(kappas), terms)."""
+        """Return the basis functions at |κ| [1/µm], by cubic interpolation, shape (len(kappas), terms)."""
         steps = (np.asarray(kappas) - self.kappa_low) / self.step
         entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
         basis = self.basis.astype(np.float64)
@@ -98,7 +98,7 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Flat indices and powers of the largest coefficients at a |κ| in the middle of the range, descending."""
+        """Flat indices of the largest coefficients and their powers, descending, at a middle |κ| of the range."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
@@ -109,18 +109,18 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Smallest number of terms of a fitted basis whose truncation error is within a tolerance, or all terms."""
+        """Return the smallest number of terms with a truncation error within a tolerance, or all terms."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
 
 def holds_powers(method: str, *, adds_powers: bool) -> bool:
-    """Whether the rows of a method are powers."""
+    """Whether a method expands powers |H|² instead of amplitudes H."""
     return method == "power" or (method == "low-rank" and adds_powers)
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Number of terms of the Jacobi-Anger series to which bases are fitted, for a range of |κ| [1/µm]."""
+    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |κ| [1/µm]."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -141,7 +141,7 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # κ = w/λ is negative.
+    # The argument of the series is negative, because κ = w/λ is negative.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -157,7 +157,7 @@ def fitted(
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The Chebyshev nodes cover the whole range of the table, which avoids extrapolation.
+    # The Chebyshev nodes cover the whole |κ| range of the basis table, which avoids extrapolation.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -167,7 +167,8 @@ def fitted(
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
-    # All coefficients but the specular one vanish in proportion to κ, and powers to κ². Errors are relative to that.
+    # Towards κ = 0, all coefficients except the specular one vanish like κ, and their powers like κ². The weights make
+    # errors relative to these functions.
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -192,12 +193,12 @@ def fitted(
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
-    """Fastest oscillation of a power [radians per unit of κ]."""
+    """Return the fastest oscillation of a power over κ [rad·µm]."""
     return max(2.0 * math.pi * heightfield.height_range_um, 1e-3)
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Step of |κ| in the table of a basis, number of steps beyond the smallest |κ|, and last |κ|."""
+    """Return the step of |κ| in the table of a basis, the number of steps above the smallest |κ|, and the last |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -205,13 +206,13 @@ def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[flo
 
 
 def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """Step and |κ| of the entries in the table of a basis."""
+    """Return the step of |κ| and all |κ| of the entries in the table of a basis [1/µm]."""
     step, count, _ = _entries(heightfield, kappas)
     return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 
 
 def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Real and imaginary parts of the coefficients at −κ, shape (coefficients, 2, m)."""
+    """Return the real and imaginary parts of the coefficients at −κ, shape (coefficients, 2, m)."""
     expansion = EXPANSIONS["jacobi-anger"]
     argument = -2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * kappas
     basis = expansion.basis(argument, series.terms).T.astype(np.float32)
@@ -222,7 +223,7 @@ def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[n
 def _principal_functions(
     values: NDArray[np.float32], weights: NDArray[np.float64], scales: NDArray[np.float32], strongest: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Principal functions of κ at the nodes, orthonormal, in descending order of their eigenvalues, shape (m, m)."""
+    """Return orthonormal principal functions of κ at the nodes, by descending eigenvalue, shape (m, m)."""
     count = values.shape[-1]
     gram = np.zeros((count, count))
     for first in range(0, len(values), _CHUNK):
@@ -237,7 +238,7 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Largest weighted error over κ with 0, 1, … terms, at the percentile ``_PERCENTILE`` of the sample."""
+    """Return the largest weighted error over κ with 0, 1, … terms, at the percentile ``_PERCENTILE`` of the sample."""
     rows = sample @ principal
     remaining = sample.copy()
     result = [1.0]

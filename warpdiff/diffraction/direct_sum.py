@@ -1,8 +1,8 @@
 """Direct sum of ⟨|P|²⟩ in float64 over the height samples: slow, without approximations.
 
-The sum has no expansion in κ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all samples, and its
-spectrum is an explicit sum over them. The result includes every coefficient within eight standard deviations of the
-direction. For a number of periods it uses the spectrum at the direction itself.
+The sum has no expansion in κ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all height samples,
+and its spectrum is an explicit sum over these samples. The result includes every coefficient within eight standard
+deviations of the direction. For a finite number of periods, the result uses the spectrum at the direction itself.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Distance of the farthest coefficient in the sum, in standard deviations of its Gaussian weight, which is e^−32 there.
 _WIDTHS = 8.0
-# Memory at the peak per number of the phases and coefficients [bytes], counted from the code.
+# Peak memory per entry of the arrays of phases and coefficients [bytes], counted from the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -35,7 +35,7 @@ def window_power(
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """⟨|P|²⟩ of the height field under a window, a source or a number of periods.
+    """Return ⟨|P|²⟩ of the height field under a window, a source or a number of periods.
 
     Args:
         heightfield: Height field, one period of a periodic surface.
@@ -72,14 +72,16 @@ def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
 ) -> float:  # fmt: skip
-    """Sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² at the centre of the window."""
+    """Return the sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² for a centred window."""
     # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs and t the tangential part of the direction to the light.
-    # Windows are round, and t = 0. A source is a disc around that direction; its projection is shorter along t.
+    # Windows are isotropic and have t = 0. A source is a disc on the sky; its projection to the surface is shorter
+    # along t.
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Along an axis with the component t, the standard deviation of the Gaussian is multiplied by √(1 − t²).
+    # For a light direction with the component t along an axis, the Gaussian's standard deviation along this axis is
+    # multiplied by √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -91,7 +93,8 @@ def _coefficient_sum(
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # The product is reduced modulo the number of samples before the multiplication by π, which preserves digits.
+    # The product of indices in a phase is reduced modulo the number of samples before the multiplication by 2π, which
+    # preserves digits.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -109,14 +112,14 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """Factor a [µm²] in the weight exp(−a d²) of a coefficient at the distance d in frequency."""
+    """Return the factor a [µm²] in the weight exp(−a d²) of a coefficient at the distance d in frequency."""
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Largest distance in frequency [1/µm] of a coefficient in the sum."""
+    """Return the largest distance in frequency [1/µm] of a coefficient in the sum."""
     # The standard deviation of exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
@@ -139,7 +142,7 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:
-    """|P|² of a number of periods: the power of one period at q, times the interference factors of both axes."""
+    """Return |P|² of a number of periods: the power of one period at q times the interference factors of both axes."""
     ny, nx = heightfield.shape
     pitch_y, pitch_x = heightfield.pitch_um
     along_x = np.exp(2j * math.pi * q[0] * pitch_x * np.arange(nx))
@@ -154,8 +157,9 @@ def _periods_power(
 
 
 def _interference(turns: float, periods: int) -> float:
-    """Interference factor |(1/N) Σ e^(2πikt)|² = [sin(πNt)/(N sin(πt))]² for a phase of t turns between periods."""
-    # The integer part of t has no effect; subtraction preserves the digits of the rest before multiplication by N.
+    """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, for a phase of t turns between periods."""
+    # The integer part of the phase t [turns] has no effect. Subtraction of the integer part before the multiplication
+    # by N preserves digits.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

@@ -1,11 +1,11 @@
 """Energy normalisation: reciprocal factors by which the order efficiencies of a perfect mirror sum to 1.
 
 For a perfect mirror, Stam's model gives order m of light from ωi the efficiency K = (1 + ωi·ωr)² |H|² / (cos θi cos θr
-w²). K is symmetric in light and view, but its sum over orders, the directional albedo, is not 1. It exceeds 1 at
+w²). K is symmetric in light and view, but its sum over orders, the directional albedo, is not 1. The sum exceeds 1 at
 grazing angles and is below 1 where few orders propagate. Division by the albedo of the incident direction conserves
 energy but violates reciprocity. Here K becomes a(ωi) K a(ωr). The function a of direction and wavelength makes the sums
-over orders 1 for every incident direction, which also preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to
-matrices with prescribed row and column sums).
+over orders 1 for every incident direction and preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to matrices
+with prescribed row and column sums).
 """
 
 from __future__ import annotations
@@ -29,30 +29,32 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of orders whose factors are computed exactly; for more, factors come from a grid of directions. The
-# cost is proportional to the square of this number.
+# Largest number of orders whose energy factors are computed exactly. For more orders, factors are interpolated on a
+# grid of directions. The cost is proportional to the square of this number.
 MOST_EXACT = 600
-# Size of this grid: elevations and azimuths. A finer grid has smaller errors and costs more.
+# Size of the grid of directions: elevations and azimuths. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which neighbouring orders are summed [units of (u, v)], about that of a cell of the grid.
+# Width of the bins in which neighbouring orders are summed [units of (u, v)], about the size of a grid cell.
 _BIN = 0.08
 # Limits of Sinkhorn's iteration: number of sweeps, and relative change that ends it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# Table entries over |κ| per half radian of the oscillation of a power; between them the power is interpolated by a
-# parabola.
+# Number of table entries over |κ| per half radian of the oscillation of a power. Parabolas interpolate the power
+# between entries.
 _PER_RADIAN = 6.0
 # Number of height fields whose factors are cached.
 _CACHED = 8
-# Number of directions and wavelengths over which the factors of colours are averaged; the cost is proportional to it.
+# Number of pairs of direction and wavelength over which the factors of colours are averaged; the cost is proportional
+# to it.
 _LIGHTS = 4096
-# Range of these wavelengths [nm]; it contains nearly all visible power.
+# Range of wavelengths over which the factors of colours are averaged [nm]; it contains nearly all visible power.
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Ratio of Roberts' recurrence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
 # Largest angle from the normal for which `AchromaticFactors.spread` is measured [radians].
 _STEEPEST = math.radians(80.0)
-# Number of wavelengths of a band at which factors of single wavelengths are computed, linear in between; and this band
-# [nm]. Other bands adjoin it with the same ratio, so that factors do not depend on the other wavelengths of a call.
+# Number of wavelengths per band at which factors are computed, for linear interpolation, and the visible band [nm].
+# Other bands adjoin this band and have the same ratio of wavelengths. Factors therefore do not depend on the other
+# wavelengths of a call.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Largest number of incident directions whose sums over orders are made exactly 1.
 _MOST_LIGHTS = 64
@@ -68,7 +70,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers.
+        """Compute the powers of all bins.
 
         Args:
             heightfield: Height field, one period.
@@ -79,7 +81,8 @@ class Powers:
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-        # For an even number of samples the outermost order is the same on both sides, and both get it.
+        # If the number of samples is even, the outermost orders on both sides are aliases of one coefficient. The
+        # coefficient is then copied, so that both sides have it.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
             _block_starts(n, max(1, min(round(bin_um * length), n)))
@@ -87,7 +90,7 @@ class Powers:
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
-            # κ = w/λ is negative.
+            # The exponent is negative, because κ = w/λ is negative.
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
             power = np.pad(power, [(0, k - n) for k, n in zip(counts, heightfield.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
@@ -105,7 +108,7 @@ class Powers:
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Powers of some bins, each at its own |κ| [1/µm]."""
+        """Return the powers of the bins with the indices ``places``, each at its own |κ| [1/µm]."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -114,7 +117,7 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """First indices of blocks of n indices; one block is centred at n // 2, the index of the zeroth order."""
+    """Split n indices into blocks, one of which is centred at n // 2 (zeroth order); return their first indices."""
     first = (n // 2 - block // 2) % block
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
 
@@ -122,7 +125,7 @@ def _block_starts(n: int, block: int) -> NDArray[np.int64]:
 def stam(
     cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is the tangential part of ωi·ωr."""
+    """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is the tangential part of ωi·ωr."""
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
 
@@ -140,7 +143,7 @@ class EnergyFactors:
     values: NDArray[np.float64]
 
     def at(self, directions: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """Factors at unit vectors (n, 3) and a wavelength [nm], by linear interpolation, shape (n,)."""
+        """Return the factors at unit vectors (n, 3) and a wavelength [nm], by linear interpolation, shape (n,)."""
         nodes, weights = grid_weights(directions)
         place = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm))))
         before = min(int(place), len(self.wavelengths_nm) - 2)
@@ -162,7 +165,7 @@ class AchromaticFactors:
     spread: float
 
     def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
-        """a(ωi) a(ωr) of n pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
+        """Return a(ωi) a(ωr) for n pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
         factors = []
         for directions in (lights, views):
             nodes, weights = grid_weights(directions)
@@ -172,11 +175,11 @@ class AchromaticFactors:
 
 @single_threaded_blas()
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
-    """Return the factors of a height field for colours, from a cache.
+    """Return the energy factors of a height field for colours, from the cache if possible.
 
     The sum over orders of a single direction jumps when an order passes the horizon. The factors therefore balance
-    means over random lights of random wavelengths. Each light, like each order, is distributed to the nearest nodes of
-    the grid.
+    means over random lights of random wavelengths. The power of each light and of each order is distributed to the
+    nearest nodes of the grid.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -186,12 +189,12 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # All azimuths at the normal are one direction.
+        # At the normal, all azimuth nodes of the grid are the same direction.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # Weight dω cos θ of each light; the lights are uniform in the polar angle.
+        # The weight of each light is its solid angle times cos θ. The lights are uniform in the polar angle.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -206,17 +209,18 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
 
 
 def _cache_key(heightfield: HeightField) -> tuple[object, ...]:
-    """Cache key of the factors of a height field, with a hash of its heights."""
+    """Return the cache key for the factors of a height field, which contains a hash of the heights."""
     digest = hashlib.sha256(np.ascontiguousarray(heightfield.heights_um).data).digest()
     return digest, heightfield.shape, heightfield.pitch_um
 
 
 def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions (n, 3), uniform in both angles of the hemisphere, and a wavelength [µm] for each, (n,).
+    """Return directions (n, 3), uniform in both angles of the hemisphere, and a wavelength [µm] for each, (n,).
 
-    They follow the additive recurrence of Roberts (2018) in three dimensions. Wavelengths are distributed as the colour
-    curves under D65. Each light has a twin in its mirror direction. If one order reflects nearly all light, sums
-    determine only the product of the factors of both directions; the twin makes the two factors similar.
+    Directions and wavelengths follow the additive recurrence of Roberts (2018) in three dimensions. The density of the
+    wavelengths is proportional to the sum of the colour-matching functions under D65. Each direction is accompanied by
+    its mirror direction. If one order reflects nearly all light, sums determine only the product of the factors of both
+    directions; the mirror direction makes the two factors similar.
     """
     places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
@@ -228,10 +232,10 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the four nodes of the grid around unit vectors (n, 3), and their bilinear weights, both (n, 4).
+    """Return the four grid nodes around unit vectors (n, 3), and their bilinear weights, both of shape (n, 4).
 
-    Rows are equally spaced in √(1 − cos θ), and so nearly in θ. Columns are equally spaced in y/(|x| + |y|), quadrant
-    by quadrant.
+    The rows of the grid are equally spaced in √(1 − cos θ), which is nearly proportional to θ. In each quadrant, the
+    columns are equally spaced in y/(|x| + |y|).
     """
     x, y, z = directions.T
     row = np.sqrt(np.clip((1.0 - z) / (1.0 - LOWEST), 0.0, 1.0)) * (_ELEVATIONS - 1)
@@ -246,10 +250,10 @@ def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
 
 
 def _grid() -> NDArray[np.float64]:
-    """Directions of the grid, (n, 3); it contains the mirror direction of each."""
+    """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # This inverts ``grid_weights``: y/(|x| + |y|) and x/(|x| + |y|).
+    # The variables y and x contain y/(|x| + |y|) and x/(|x| + |y|), the inverse of the formula in ``grid_weights``.
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -259,8 +263,8 @@ def _grid() -> NDArray[np.float64]:
 def _outgoing(
     powers: Powers, light: NDArray[np.float64], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the directions into which a light is diffracted by bins of orders, (n, 3), and their K, (n,)."""
-    # Coefficient q diffracts into ωr with ωi + ωr = −λq, tangential parts.
+    """Return the directions into which bins of orders diffract a light, (n, 3), and the efficiencies K, (n,)."""
+    # The coefficient at q diffracts into the direction ωr for which the tangential part of ωi + ωr is −λq.
     tangential = -powers.frequencies * wavelength_um - light[:2]
     upward2 = 1.0 - np.sum(tangential**2, axis=1)
     live = np.flatnonzero(upward2 > HORIZON**2)
@@ -272,7 +276,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """Return the factors of a height field on a grid, for the band of a wavelength [nm], from a cache."""
+    """Return the energy factors on the grid of directions for the band around a wavelength [nm], cached if possible."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band
@@ -294,7 +298,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """K from lights (n, 3), each with a wavelength, distributed to the m nodes of the grid, (n, m)."""
+    """Return the efficiencies K of lights (n, 3), at one wavelength each, distributed to the m grid nodes, (n, m)."""
     result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, efficiencies = _outgoing(powers, light, wavelength_um)
@@ -304,7 +308,7 @@ def _distributed(
 
 
 def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
+    """Balance a matrix K: return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
     first, second = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
     for _ in range(_MOST_SWEEPS):
         before = first
@@ -316,7 +320,7 @@ def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return factors a with a (K a) = 1 of a matrix that is symmetric up to quadrature errors, (n,)."""
+    """Balance a matrix K that is symmetric up to quadrature errors: return factors a with a (K a) = 1, shape (n,)."""
     factors = np.ones(len(matrix))
     for _ in range(_MOST_SWEEPS):
         before, factors = factors, np.sqrt(factors / np.maximum(matrix @ factors, _LEAST_SUM))
@@ -328,7 +332,7 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def sums_from(
     factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Sum K a(ωr) over all orders, in bins of one order each, for lights (n, 3), shape (n,)."""
+    """Return the sum of K a(ωr) over all orders for lights (n, 3), shape (n,); each order has a bin of its own."""
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
         views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)
@@ -342,9 +346,10 @@ def between(
     views: NDArray[np.float64],
     wavelengths_nm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """a(ωi) a(ωr) of n pairs of directions above the horizon, (n, 3) both, at m wavelengths [nm], shape (n, m).
+    """Return a(ωi) a(ωr) for n pairs of directions above the horizon, (n, 3) both, and m wavelengths [nm], (n, m).
 
-    For few lights a(ωi) is computed so that the sum over all orders is exactly 1. For many it comes from the grid.
+    For at most ``_MOST_LIGHTS`` different lights, a(ωi) makes the sum over all orders exactly 1. For more lights, a(ωi)
+    is interpolated on the grid.
     """
     distinct, which = np.unique(lights, axis=0, return_inverse=True)
     powers = Powers(heightfield, 2e3 / float(wavelengths_nm.min()), 0.0) if len(distinct) <= _MOST_LIGHTS else None

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Length that replaces the size of a constant axis [µm], far below a wavelength: only order 0 is then near a direction,
-# at a distance that does not change its Gaussian weight. A length near a wavelength would add other orders.
+# Length that replaces the size of a constant axis [µm], far below a wavelength. Order 0 is then the only order near any
+# direction, and its Gaussian weight does not change. A length near a wavelength would add other orders.
 _CONSTANT_AXIS_UM = 0.01
 
 
@@ -37,9 +37,9 @@ class Grid:
 
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
-        lengths_um: Frequencies per unit of frequency along (y, x) [µm]: the size of the patch, or a multiple of it.
+        lengths_um: Reciprocal spacing of the frequencies along (y, x) [µm]: the size of the patch, or a multiple of it.
         taper: Weights of the rows and columns of samples, shapes (hy,) and (hx,), with the origin at the middle sample.
-            None is a weight of 1, with the origin at the first sample.
+            None means weights of 1 and the origin at the first sample.
     """
 
     shape: tuple[int, int]
@@ -48,10 +48,10 @@ class Grid:
 
 
 def patch_grid(heightfield: HeightField) -> Grid:
-    """Frequencies of an infinite periodic surface: whole orders r/Lx and s/Ly.
+    """Return the frequencies of an infinite periodic surface, the integer orders r/Lx and s/Ly.
 
-    An axis of one sample is constant and has only the order 0. Its length is replaced by one far below the wavelength,
-    so that order 0 is the nearest one for every direction.
+    An axis with a single sample is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces its length, so that
+    order 0 is the nearest order for every direction.
     """
     lengths = [
         _CONSTANT_AXIS_UM if n == 1 else length
@@ -61,7 +61,7 @@ def patch_grid(heightfield: HeightField) -> Grid:
 
 
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
-    """Half orders, for interpolation of the spectrum of a single period between its orders.
+    """Return the frequencies of half orders, between which the spectrum of a single period is interpolated.
 
     The samples are divided by the transform of the interpolation kernel, a function of frequencies from −1/4 to 1/4.
     """
@@ -117,7 +117,7 @@ def series_coefficients(
     taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None, threads: int = 1,
     dtype: DTypeLike = np.complex128,
 ) -> NDArray[np.complexfloating]:  # fmt: skip
-    """F_n[s, r] of the module's formula, transformed in float64.
+    """Return the coefficients F_n[s, r] of the formula in this module's docstring, transformed in float64.
 
     Args:
         heightfield: Height field.
@@ -129,13 +129,13 @@ def series_coefficients(
         dtype: Type of the result, complex.
 
     Returns:
-        F_n, shape (my, mx, terms); Σ_n b_n(x) F_n are the H_rs without their common phase.
+        F_n, shape (my, mx, terms). The sum Σ_n b_n(x) F_n is H_rs without the common phase.
     """
     offset, scale = expansion.offset_and_scale(heightfield)
     scaled = (heightfield.heights_um - offset) / (scale or 1.0)
     s, r = block.orders()
-    # h is real, so that column −r is the conjugate of column r with its rows reversed. Only columns of one half that
-    # the block contains are transformed.
+    # Heights are real, so that column −r is the conjugate of column r with its rows reversed. Only the columns r >= 0
+    # of the block are transformed.
     columns = int(np.abs(r).max()) + 1
     keep = np.where(r >= 0, r, -r)
     rows = np.where(r[None, :] >= 0, s[:, None], -s[:, None]) % block.shape[0]

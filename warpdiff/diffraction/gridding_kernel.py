@@ -1,8 +1,8 @@
 """Gridding kernel: Kaiser-Bessel interpolation of the spectrum of a patch between half orders.
 
-The spectrum of a patch of length L is band-limited. It is computed at twice as many frequencies as the patch has
-samples, after division of the samples by the transform of the kernel. A sum over a few neighbours then gives it at any
-frequency (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
+The spectrum of a patch of length L is band-limited. The spectrum is computed at twice as many frequencies as the patch
+has samples, after the samples are divided by the transform of the kernel. The spectrum at any other frequency is then a
+sum over a few neighbours (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
 """
 
 from __future__ import annotations
@@ -15,32 +15,35 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Degree of the polynomials that replace the kernel between two frequencies; their error is about 1e-8.
+# Degree of the polynomials that approximate the kernel between two frequencies, with an error of about 1e-8.
 _DEGREE = 12
 
 
 def _shape(taps: int) -> float:
-    """Kaiser-Bessel parameter β for an oversampling factor of 2 (Beatty et al. 2005, eq. 5)."""
+    """Return the Kaiser-Bessel parameter β for an oversampling factor of 2 (Beatty et al. 2005, eq. 5)."""
     return math.pi * math.sqrt((taps / 2.0 * 1.5) ** 2 - 0.8)
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Kernel at distances in grid steps: 1 at distance 0, and 0 beyond taps/2."""
+    """Return the kernel at distances in grid steps; it is 1 at distance 0, and 0 beyond taps/2."""
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))
     return np.where(inside >= 0.0, values, 0.0)
 
 
 def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Transform of the kernel, ∫ kernel(t) e^{2πiνt} dt = W sinh(b)/(b I0(β)), b² = β² − (πWν)², for |ν| <= 1/4."""
+    """Return the transform of the kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
+
+    The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², for W taps.
+    """
     root = np.sqrt(_shape(taps) ** 2 - (math.pi * taps * frequency) ** 2)
     return np.asarray(taps * np.sinh(root) / (root * np.i0(_shape(taps))))
 
 
 def tap_polynomials(taps: int) -> NDArray[np.float64]:
-    """Weights of the neighbours as polynomials of the position, shape (taps, degree + 1), highest power first.
+    """Return the weights of neighbours as polynomials of the position, shape (taps, degree + 1), highest power first.
 
-    Neighbour i of a position t is ⌊t⌋ − taps/2 + 1 + i. Its weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
+    Neighbour i of a position t is ⌊t⌋ − taps/2 + 1 + i. The neighbour's weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
     """
     nodes = np.cos(math.pi * (np.arange(4 * _DEGREE) + 0.5) / (4 * _DEGREE)) / 2.0
     offsets = taps // 2 - 1 - np.arange(taps)

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. It limits the memory of a
-# table, which is proportional to it.
+# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. The memory of a table is
+# proportional to this number.
 MAX_TERMS = 128
-# Limit on the cycles of phase over the height range. More suggest a wrong unit of the heights.
+# Limit on the cycles of phase over the height range. A larger number suggests that heights have the wrong unit.
 _MOST_CYCLES = 100.0
 # Limit on exponents in the bounds of a Taylor series: e^710 overflows float64.
 _LARGEST_EXPONENT = 700.0
@@ -35,7 +35,7 @@ _LARGEST_EXPONENT = 700.0
 def check_cycles(heightfield: HeightField, kappa: float) -> None:
     """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa`` [1/µm].
 
-    Heights in another unit have such ranges, and would require huge tables.
+    Such a range suggests heights in another unit than µm, and would require very large tables.
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
@@ -74,7 +74,7 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Smallest number of terms, up to ``MAX_TERMS``, whose remainder up to ``argument`` is within a tolerance."""
+        """Return the fewest terms, at most ``MAX_TERMS``, with a remainder up to ``argument`` within a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1
@@ -82,14 +82,14 @@ class Expansion:
 
 
 def _taylor_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """Basis xⁿ/n! (Single 2014, eq. 3.24)."""
+    """Return the basis xⁿ/n! of the Taylor series (Single 2014, eq. 3.24)."""
     x = np.asarray(argument, dtype=np.float64)[..., None]
     steps = np.concatenate([np.ones_like(x), x / np.arange(1, terms)], axis=-1)
     return np.asarray(np.cumprod(steps, axis=-1))
 
 
 def _taylor_remainder(argument: float, terms: int) -> float:
-    """Remainder x^N/N!, eq. 3.28 of Single 2014 with M = 1, because derivatives of e^{ix} have modulus 1."""
+    """Return the bound x^N/N! of the remainder (Single 2014, eq. 3.28, with M = 1 as |e^{ix}| is 1)."""
     if argument == 0.0:
         return 0.0
     return math.exp(min(terms * math.log(argument) - math.lgamma(terms + 1.0), argument, _LARGEST_EXPONENT))
@@ -100,10 +100,10 @@ def _taylor_growth(argument: float) -> float:
 
 
 def bessel_j(argument: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Bessel functions J_0 … J_{count−1} of real arguments, shape (..., count), with an absolute error of about 1e-15.
+    """Return the Bessel functions J_0 … J_{count−1} of real arguments, shape (..., count), with errors of about 1e-15.
 
-    They are the Fourier coefficients of e^{ix sin θ}, which decrease faster than exponentially beyond |x|. A discrete
-    transform with slightly more than count + |x| points is therefore exact up to rounding.
+    The Bessel functions J_n(x) are the Fourier coefficients of e^{ix sin θ}, which decrease faster than exponentially
+    for n > |x|. A discrete transform with slightly more than count + |x| points is therefore exact up to rounding.
     """
     x = np.asarray(argument, dtype=np.float64)
     largest = float(np.max(np.abs(x), initial=0.0))
@@ -114,14 +114,14 @@ def bessel_j(argument: ArrayLike, count: int) -> NDArray[np.float64]:
 
 
 def _jacobi_anger_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """Basis J_0(x), 2 J_n(x), from e^{ixg} = J_0(x) + 2 Σ iⁿ J_n(x) T_n(g) (used by Dhillon and Ghosh 2016)."""
+    """Return the basis J_0(x), 2 J_n(x) of e^{ixg} = J_0(x) + 2 Σ iⁿ J_n(x) T_n(g) (Dhillon and Ghosh 2016)."""
     values = 2.0 * bessel_j(argument, terms)
     values[..., 0] /= 2.0
     return values
 
 
 def _jacobi_anger_remainder(argument: float, terms: int) -> float:
-    """Remainder 2 Σ_{n>=N} |J_n| at the largest argument, because |J_n(x)| grows with x for x <= n."""
+    """Return the bound 2 Σ_{n>=N} |J_n| of the remainder at the largest argument, as |J_n(x)| grows for x <= n."""
     if terms < argument:
         return 2.0
     beyond = math.ceil(12.0 * argument ** (1.0 / 3.0)) + 40
@@ -129,7 +129,7 @@ def _jacobi_anger_remainder(argument: float, terms: int) -> float:
 
 
 def _jacobi_anger_growth(argument: float) -> float:
-    """Bound |J_0| + 2 Σ |J_n| <= √(1 + 2N) for N significant terms, by Cauchy-Schwarz from J_0² + 2 Σ J_n² = 1."""
+    """Return the bound √(1 + 2N) of |J_0| + 2 Σ |J_n| for N significant terms (Cauchy-Schwarz, J_0² + 2 Σ J_n² = 1)."""
     return math.sqrt(1.0 + 2.0 * (argument + 4.0 * argument ** (1.0 / 3.0) + 4.0))
 
 

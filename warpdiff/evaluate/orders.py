@@ -1,8 +1,8 @@
-"""Efficiencies of the orders of a periodic height field: where its light goes, in shares of what comes in.
+"""Efficiencies of the diffraction orders of a periodic height field, relative to the incident power.
 
-In order m a grating sends the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the power that falls on it,
-which is the absolute BRDF (Stam 1999) without a window and integrated over the order. Each order has a w, and so a κ =
-w/λ, of its own. In place of an FFT for each, there is one for each of a few κ and an interpolation between them.
+A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. The
+share is the absolute BRDF (Stam 1999) without a window, integrated over the order. Each order has its own w, and
+therefore its own κ = w/λ. Instead of one FFT per order, FFTs at a few κ are computed and interpolated.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# Memory of a sample of the cell, of an order at a wavelength, and of its terms [bytes], as measured.
+# Measured memory [bytes]: per height sample, per order and wavelength, and per order and interpolation term.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
-    """Efficiencies by order; ``efficiencies[m_y, m_x]`` is that of one order at each wavelength, shape (m,).
+    """Efficiencies of diffraction orders; indexing by ``[m_y, m_x]`` gives those of one order, shape (m,).
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
-        orders: Pairs (m_y, m_x) of all orders that propagate at one of the wavelengths at least, shape (n, 2), sorted.
-        to_view: Unit vectors ωr along which they leave, shape (m, n, 3); NaN where an order is evanescent.
-        efficiencies: Shares of the incident power, shape (m, n); 0 where an order is evanescent.
+        orders: Pairs (m_y, m_x) of all orders that propagate at one wavelength or more, shape (n, 2), sorted.
+        to_view: Unit vectors ωr of the reflected orders, shape (m, n, 3); NaN where an order is evanescent.
+        efficiencies: Reflected power of each order relative to the incident power, shape (m, n); 0 where an order is
+            evanescent.
 
     Examples:
         >>> import warpdiff as wd
@@ -68,7 +69,7 @@ class OrderEfficiencies:
         return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths})"
 
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
-        """The efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for one that never propagates."""
+        """Return the efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for evanescent orders."""
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=1))
 
@@ -79,22 +80,25 @@ def order_efficiencies(
     ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, material: Material | None = None,
     energy: Energy | None = None,
 ) -> OrderEfficiencies:  # fmt: skip
-    """Absolute efficiencies of all propagating orders of an endlessly repeated height field, in float64.
+    """Return the absolute efficiencies of all propagating orders of an infinitely repeated height field, in float64.
 
-    Order (m_y, m_x) leaves where ωi + ωr = (m_x λ/Lx, m_y λ/Ly) along x and y (the grating equation, sin θi + sin θr =
-    mλ/L), and its amplitude is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh). There is no masking. In scalar
-    theory the efficiencies sum to R only approximately, and to more for short periods at grazing angles. With
-    ``energy="normalised"`` they are multiplied by a(ωi) a(ωr), with a such that the orders of a perfect mirror sum to 1
-    for every direction (Sinkhorn 1967); this is closer to rigorous solutions of mirrors and metals, and reciprocal.
+    The direction of order (m_y, m_x) follows from the grating equation sin θi + sin θr = mλ/L: the x and y components
+    of ωi + ωr are m_x λ/Lx and m_y λ/Ly. The amplitude of the order is the Fourier coefficient r = −m_x, s = −m_y of
+    exp(2πiκh). Masking is not included. In scalar theory the sum of the efficiencies is R only approximately, and
+    exceeds it for short periods at grazing angles.
+
+    ``energy="normalised"`` multiplies the efficiencies by a(ωi) a(ωr). The factors a make the orders of a perfect
+    mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal, and closer to rigorous solutions for
+    mirrors and metals.
 
     Args:
-        heightfield: One period of the surface; an axis of one sample is constant and has no order but 0.
+        heightfield: One period of the surface; a constant axis, which has a single sample, has order 0 only.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
         material: Material of the surface instead of ``ior``.
-        energy: ``"stam"`` (Stam 1999), or ``"normalised"``; None is normalised for metals and perfect mirrors, which
-            transmit no light, and Stam's for others.
+        energy: ``"stam"`` (Stam 1999) or ``"normalised"``. None normalises metals and perfect mirrors, which transmit
+            no light, and uses Stam's efficiencies for other surfaces.
 
     Returns:
         Orders, their directions and efficiencies.
@@ -102,7 +106,7 @@ def order_efficiencies(
     Raises:
         TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
         ValueError: An argument is out of its range, samples are missing, or the light is not above the horizon.
-        MemoryError: More memory than is free; the message states what fits.
+        MemoryError: The call requires more memory than is free; the message states the area that fits.
 
     Examples:
         >>> import warpdiff as wd
@@ -121,7 +125,7 @@ def order_efficiencies(
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    # Along an axis |mλ/L − ωi| < 1 where an order propagates; pairs are (y, x).
+    # An order m propagates only if |mλ/L − ωi| < 1 along each axis. All pairs are in the order (y, x).
     ranges = []
     for length, n, component in zip(heightfield.size_um, heightfield.shape, light[0, 1::-1], strict=True):
         most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
@@ -170,7 +174,8 @@ def _balance(
     if len(orders) > energy_normalisation.MOST_EXACT:
         factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
         return np.asarray(factors / (mirrors @ factors))
-    # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
+    # The rows of the matrix are incident directions that differ from the light by whole orders. The columns are the
+    # reflected directions, which are the same for all rows.
     steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
     shift_ranges = [
         range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
@@ -193,11 +198,15 @@ def _balance(
 def _coefficients(
     heightfield: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """H_rs(κ) up to a phase, each at a κ of its own, to some 1e-13; indices are pairs (s, r), shape (n, 2)."""
+    """Return coefficients H_rs(κ) without their common phase, with an error of about 1e-13, shape (n,).
+
+    ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
+    """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-    # The mirror's order always propagates, so there is one; alone, it has no range of κ.
+    # The zeroth order always propagates, so that ``kappas`` is not empty. The least width of 1e-9 avoids a division by
+    # zero if there is a single order.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # As a function of κ the exponential is that of Jacobi and Anger, whose Chebyshev terms end beyond its argument.
+    # The Jacobi-Anger series of exp(2πiκh) over this range of κ has negligible terms beyond the order ``argument``.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half
@@ -211,12 +220,12 @@ def _coefficients(
 
 
 def _term_count(argument: float) -> int:
-    """Chebyshev terms of an exponential of a range of so much."""
+    """Return the number of Chebyshev terms that represent exp(ixg), |g| <= 1, for an argument x."""
     return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn of orders beyond half the samples of an axis, which repeat those within."""
+    """Warn if orders beyond the Nyquist limit of an axis propagate, because lower orders alias onto them."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

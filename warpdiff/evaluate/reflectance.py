@@ -40,11 +40,13 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves its step in 1/λ until XYZ moves by less than this share of the tolerance.
+# Convergence of the direct method: relative change of XYZ, as a share of the tolerance, that ends the halving of the
+# step in 1/λ.
 _DIRECT_SETTLED = 0.05
-# Number of wavelengths of the direct method. Limit: seconds per direction.
+# Limit: number of wavelengths of the direct method. Time is proportional to it, several seconds per direction.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Memory of a direction, of each of its values at given wavelengths, and of a direction of a map [bytes], as measured.
+# Measured memory [bytes]: per direction of a call, per direction and wavelength of a spectrum, and per direction of a
+# reflectance map.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
@@ -54,22 +56,23 @@ def spectral_reflectance(
     heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
     progress: Progress = None, **settings: Unpack[SpectralKeywords],
 ) -> NDArray[Any]:  # fmt: skip
-    """Relative reflectance ρ(λ): 1 for a flat mirror seen in the mirror direction at normal incidence.
+    """Return the relative reflectance ρ(λ), which is 1 for a flat mirror in its mirror direction at normal incidence.
 
-    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). It is a
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). ρ is a
     ratio of radiances, without a further cosine, and is not bounded by 1.
 
     Args:
-        heightfield: The height field.
-        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
-        to_view: Directions to the viewer, the same; one and many broadcast.
+        heightfield: Height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
+        to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single direction
+            broadcasts.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        progress: Callable that gets the share that is done, 0 to 1, one call at a time, from any thread; True shows
-            a bar.
+        progress: Function that is called with the finished share, 0 to 1, by one thread at a time; True shows a
+            progress bar.
 
     Returns:
-        ρ, shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``; 0 where a direction is
-        at or below the horizon.
+        ρ, shape (n, m), or (m,) for single directions; float32, but float64 for ``"direct"``. ρ is 0 where a direction
+        is at or below the horizon.
 
     Examples:
         >>> import warpdiff as wd
@@ -90,19 +93,20 @@ def reflectance(
     heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, *, illuminant: str | Spectrum = "D65",
     progress: Progress = None, **settings: Unpack[EvaluationKeywords],
 ) -> NDArray[Any]:  # fmt: skip
-    """Colour of the reflectance: ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
+    """Return the colour of the reflectance, ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
 
     Args:
-        heightfield: The height field.
-        to_light: Directions to the light in the local frame, shape (3,) or (n, 3); normalised here.
-        to_view: Directions to the viewer, the same; one and many broadcast.
+        heightfield: Height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
+        to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single direction
+            broadcasts.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        progress: Callable that gets the share that is done, 0 to 1, one call at a time, from any thread; True shows
-            a bar.
+        progress: Function that is called with the finished share, 0 to 1, by one thread at a time; True shows a
+            progress bar.
 
     Returns:
-        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, float64 for ``"direct"``; a flat mirror at
-        normal incidence gives the illuminant's white, Y = 1.
+        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, but float64 for ``"direct"``. A flat mirror at
+        normal incidence has the colour of the illuminant, Y = 1.
 
     Examples:
         >>> import warpdiff as wd
@@ -124,25 +128,26 @@ def reflectance_map(
     illuminant: str | Spectrum = "D65", samples_per_pixel: Annotated[int, Ge(1)] = 1, progress: Progress = None,
     **settings: Unpack[EvaluationKeywords],
 ) -> Image:  # fmt: skip
-    """Colour of the reflectance over all view directions, seen from above.
+    """Render the colours of the reflectance over all view directions for one light direction.
 
-    The picture is the unit disc of (sin θr cos φr, sin θr sin φr): x to the right, y up.
+    The picture is the unit disc of (sin θr cos φr, sin θr sin φr), with x to the right and y up.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         to_light: Direction to the light in the local frame, shape (3,), above the horizon.
         size: Width and height of the picture [pixels].
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        samples_per_pixel: Number of directions that a pixel is the mean of, a square number; 1 is its centre.
-        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
+        samples_per_pixel: Number of directions per pixel, a square number; the pixel is their mean. With 1, it is the
+            direction of the pixel centre.
+        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:
-        The map; its mask is the inside of the disc.
+        Reflectance map; its mask is the disc.
 
     Raises:
-        ValueError: A bad argument, or a light that is not above the horizon.
+        ValueError: An argument is out of its range, or the light is not above the horizon.
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
-        MemoryError: More memory than is free; the message says what fits.
+        MemoryError: The map requires more memory than is free; the message states the largest map that fits.
 
     Examples:
         >>> import warpdiff as wd
@@ -198,23 +203,25 @@ def brdf(
     heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
     progress: Progress = None, **settings: Unpack[BrdfKeywords],
 ) -> NDArray[Any]:  # fmt: skip
-    """Absolute BRDF [1/sr] (Stam 1999), never masked.
+    """Return the absolute BRDF [1/sr] (Stam 1999), without masking and shadowing.
 
-    R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence: 4πσ²/λ² for a window, which
-    makes it |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²); 1/(2π √det Σs) for a source of covariance Σs; A N1 N2/λ² for
-    periods of a patch of area A. It is reciprocal, except for a source. Scalar diffraction does not conserve energy
-    exactly: the sum over the orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing
-    angles.
+    The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence. The factor is
+    4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs, and A N1 N2/λ² for N1 × N2 periods of a
+    patch with the area A. For a window g, ⟨|P|²⟩ times its factor is the mean of |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫
+    g²).
+
+    The BRDF is reciprocal, except for a source. Scalar diffraction does not conserve energy exactly: the sum over the
+    orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing angles.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3).
-        to_view: Directions to the viewer, shape (3,) or (n, 3).
+        to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        progress: Callable that gets the share that is done, 0 to 1; True shows a bar.
+        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:
-        Shape (n, m), or (m,) for single directions; float32, float64 for ``"direct"``.
+        BRDF, shape (n, m), or (m,) for single directions; float32, but float64 for ``"direct"``.
 
     Examples:
         >>> import warpdiff as wd
@@ -243,7 +250,7 @@ def brdf(
 
 
 class _Call:
-    """Pairs of directions with the plan for them."""
+    """Evaluation of one call: pairs of light and view directions, their geometry factors, and a plan for them."""
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
@@ -278,11 +285,11 @@ class _Call:
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The values of a pair of single directions without the axis of directions."""
+        """Return values without the axis of directions if the call has single directions, else unchanged."""
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """ρ, shape (n, m)."""
+        """Return the relative reflectance ρ of all directions of the call, shape (n, m)."""
         heightfield, wavelengths_nm = self._request.heightfield, np.asarray(self._request.wavelengths_nm)
         if self.plan.method == "direct":
             result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
@@ -300,16 +307,16 @@ class _Call:
         values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
         inputs = [table.arguments, *self._on_device(), wavenumbers]
         launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
-        found: NDArray[np.float32] = values.numpy()
+        spectra: NDArray[np.float32] = values.numpy()
         if self._request.illuminated[0].material is not None:
-            found *= self._reflectances(wavelengths_nm).astype(np.float32)
-        return found
+            spectra *= self._reflectances(wavelengths_nm).astype(np.float32)
+        return spectra
 
     def _reflectances(self, wavelengths_nm: NDArray[np.float64], some: Any = slice(None)) -> NDArray[np.float64]:
         return reflectances(self._request.illuminated[0].material, self._scattering_vectors[some], wavelengths_nm)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """XYZ, shape (n, 3)."""
+        """Return the XYZ of all directions of the call, shape (n, 3)."""
         heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
         if self.plan.method == "direct":
             return direct_colour(
@@ -322,7 +329,7 @@ class _Call:
         return np.asarray(xyz.numpy())
 
     def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Scattering vectors, directions to the light and gains on the device."""
+        """Return scattering vectors, directions to the light and gains as arrays on the device."""
         device = self._request.device
         return (
             wp.array(self._scattering_vectors, dtype=wp.vec3d, device=device),
@@ -336,9 +343,9 @@ def direct_colour(
     gains: NDArray[np.float64], plan: Plan, lit_material: IlluminatedMaterial, *,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """XYZ by the direct sum: the step in 1/λ is halved until XYZ settles to a twentieth of the tolerance.
+    """Return XYZ by the direct sum over height samples, with a step in 1/λ that is halved until XYZ converges.
 
-    The first step is the one of the plan's bounds, which no order slips through.
+    The first step is that of the upper bounds, so that no order lies between two wavelengths.
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)
@@ -346,10 +353,10 @@ def direct_colour(
 
     def powers(index: int, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
         one = slice(index, index + 1)
-        found = direct_sum.window_power(
+        power = direct_sum.window_power(
             heightfield, plan.coherence, scattering_vectors[one], wavelengths_nm * 1e-3, to_lights=to_lights[one]
         )
-        return np.asarray(found[0] * reflectances(lit_material.material, scattering_vectors[one], wavelengths_nm)[0])
+        return np.asarray(power[0] * reflectances(lit_material.material, scattering_vectors[one], wavelengths_nm)[0])
 
     for done, i in enumerate(illuminated.tolist()):
         count = plan.wavelengths * plan.subdivisions

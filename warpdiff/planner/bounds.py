@@ -1,7 +1,7 @@
-"""Plan from bounds: numbers that suffice for any surface and for all directions of a range.
+"""Upper-bound plan: parameters that suffice for any surface and for all directions of a range.
 
-Bounds are conservative. Calls with few directions are computed by them; a search starts from them and judges
-its results by finer ones.
+The bounds are conservative. Calls with few directions use the upper-bound plan itself. A search starts from it, and
+uses a finer upper-bound plan as the reference.
 """
 
 from __future__ import annotations
@@ -26,46 +26,52 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Series remainder allowed per amplitude, as a share of the tolerance. Derived: errors are relative to at least 1e-3 of
-# a picture's brightness (FLOOR), whose amplitude is 0.03 of the bright one's, and orders are weaker than the mirror by
-# as much again. Twice the share shows on surfaces with weak orders alone.
+# Permitted remainder of the series of one amplitude, as a share of the tolerance. Derived from two factors of 0.03.
+# Errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in amplitude. Orders
+# are weaker than the mirror reflection by another factor of 0.03. If doubled, surfaces that have only weak orders can
+# exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Least Gaussian weight of a neighbour, as a share of the tolerance, by whether powers add. Derived: the zeroth order
-# has power 1, a call that does not show it may be darker by 1e-5 and has a floor of 1e-3 of that; amplitudes require
-# the square root of the ratio, here with a margin of 100. Twice the share adds its tail to the darkest calls.
+# Smallest Gaussian weight of a neighbour, as a share of the tolerance, by whether powers add. Derived: the zeroth order
+# has power 1; a call without it may be darker by 1e-5, and its floor is 1e-3 of that. Amplitudes require the square
+# root of this ratio, here with a margin of 100. If doubled, tails of the zeroth order are missing in the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# The same for plans that no trial has seen. Derived: a call may be as dark as DARK.
+# Smallest Gaussian weight of a neighbour, as a share of the tolerance, for plans that no trial has validated. Derived:
+# the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
-# Samples per unit of 1/λ [µm] for the colour curves and the illuminant. Fitted: D65, FL11 and HP1 from 1e-1 to 1e-4
-# (docs/decisions/plans_and_tolerance.md). Half of it exceeds the quadrature share under lines of an illuminant.
+# Number of samples per unit of 1/λ [µm] for the colour-matching functions and the illuminant. Fitted for D65, FL11 and
+# HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the error under illuminants
+# with spectral lines exceeds its share of the tolerance.
 _COLOUR_BANDWIDTH_UM = 48.0
-# Samples per standard deviation of the Gaussian of 1/λ as which an order passes, at a tolerance of 1. Fitted: the same
-# illuminants, Gaussians of 1/18 to 1/222 per µm, 0.95 at a tolerance of 1e-2.
+# Number of samples per standard deviation of an order, which is a Gaussian over 1/λ, at a tolerance of 1. Fitted for
+# D65, FL11 and HP1 with Gaussians of 1/18 to 1/222 per µm; the number is 0.95 at a tolerance of 1e-2.
 _SAMPLES_PER_DEVIATION = 0.441
-# Samples per cycle of the interference of two levels of a tall surface in the mirror direction, at a tolerance of 1, in
-# addition to those for the colours. Fitted: two levels 3 and 5.5 µm high under HP2 and FL12, 6 at 1e-2.
+# Number of samples per cycle of the interference between two height levels in the mirror direction, at a tolerance of
+# 1, in addition to those for the colours. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12; the number is 6 at a
+# tolerance of 1e-2.
 _SAMPLES_PER_CYCLE = 2.785
-# Order of the error in the sample distance. Derived: quintics through six samples for windows and sources, cubics
-# through four for the power of a replicated patch.
+# Order of convergence in the distance of samples. Derived: windows and sources are interpolated by quintics through six
+# samples, and the power of a replicated patch by cubics through four samples.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
-# Typical error of a plan from bounds, of the integral over λ and of the neighbours each, as a share of the tolerance.
-# Fitted: 99th percentile of the errors with the samples above. It is reported only.
+# Typical error of an upper-bound plan in the integral over λ, and also by excluded neighbours, as a share of the
+# tolerance. Fitted: 99th percentile of the errors with the numbers of samples of such plans. The error is only
+# reported.
 _TYPICAL_SHARE = 0.05
-# Samples of a replicated patch's power per order that passes, at a tolerance of 1. Fitted: random patches of fingers
-# under D65 to HP1, 25 at 1e-2. Half of it has 16 times the error.
+# Number of samples of a replicated patch's power per order in the visible range, at a tolerance of 1. Fitted for random
+# patches of fingers under D65 to HP1; the number is 25 at a tolerance of 1e-2. If halved, the error is 16 times as
+# large.
 _SAMPLES_PER_ORDER = 8.0
-# Largest number of wavelengths of a colour. Limit: seconds per direction.
+# Limit: number of wavelengths of a colour. Time is proportional to it, seconds per direction.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths for a source at the horizon. Limit: a source is foreshortened without end there; 16,384
-# wavelengths suffice for a foreshortening of fifty.
+# Limit: number of wavelengths for a source near the horizon, where its foreshortening is unbounded. This number
+# suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
-    """The plan that follows from bounds alone, for a method and a tolerance that may differ from the request's."""
+    """Return the upper-bound plan for a method and a tolerance, which may differ from those of the request."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # A fitted basis is made from the Jacobi-Anger series.
+    # Fitted bases are computed from the Jacobi-Anger series.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
@@ -93,19 +99,20 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """The plan with the neighbours that a call requires which no trial has seen and which may be dark."""
+    """Return the plan with enough neighbours for a very dark call whose error no trial measures."""
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
-    """Samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
+    """Return the number of samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
-    Products of two points of the surface oscillate as w(h − h') + (u, v)·(x − x'), exp(−|x − x'|²/4σ²) weighs their
-    distance, so that orders pass as Gaussians, and the colour curves add a constant. No number exceeds the limit of a
-    plan; plans near it are refused by their number of wavelengths.
+    The product of two surface points has the phase 2π/λ times w(h − h') + (u, v)·(x − x'). The window weights the
+    product by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ. The colour-matching functions add the
+    constant c. The numbers are limited to those that a plan accepts; such plans are refused for their number of
+    wavelengths.
     """
     if coherence.kind == "replicas":
-        # |mean over the patch|² has orders between −|u|Lx − |v|Ly and the same above, in samples of cubics.
+        # The power of one patch oscillates over 1/λ with at most |u|Lx + |v|Ly cycles per unit.
         per_order = _SAMPLES_PER_ORDER * tolerance ** (-1.0 / _CUBIC_ORDER)
         return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     quintic = tolerance ** (-1.0 / _QUINTIC_ORDER)
@@ -113,8 +120,9 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # Equal ratios from 380 to 780 nm are, at 380 nm, further apart than equal steps by this factor. The window of
-    # van Cittert and Zernike is in proportion to λ, unchanged.
+    # Samples of a source have equal ratios of λ. The factor ``wider`` is their distance in 1/λ at 380 nm, relative to
+    # equal steps of 1/λ. The window of a source is proportional to λ (van Cittert-Zernike), so that the bandwidth of
+    # its orders needs no such factor.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
@@ -122,12 +130,12 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """The plan with as many wavelengths as its bandwidth requires, or for a source at the horizon the largest set."""
+    """Return the plan with the wavelengths that its bandwidth requires; for a grazing source, at most a limit."""
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        # The squared sine ratio of the periods has two samples per lobe.
+        # The interference factor of the periods requires two samples per lobe.
         divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:

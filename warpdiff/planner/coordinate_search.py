@@ -1,10 +1,10 @@
-"""Coordinate search: the cheapest sums over wavelengths that meet a tolerance on a call's directions.
+"""Coordinate search: finds the cheapest sums over wavelengths that meet a tolerance on the directions of a call.
 
-Bounds suffice for the worst surface and the worst direction, and most calls require less. Each coordinate of a plan
-(terms, neighbours, subdivisions, two parts of the bandwidth) is made as coarse as the error budget allows. The budget
-grows from coordinate to coordinate, so that each can use what those before it have left. Errors are those of the
-training set against a reference. The validation set judges the result; a plan that fails is refined where it helps
-most.
+Upper bounds suffice for the worst surface and the worst direction; most calls require less. The coordinates of a plan
+are its terms, neighbours, subdivisions and two parts of the bandwidth. The search makes one coordinate after the other
+as coarse as an error budget permits. The budget grows from coordinate to coordinate, so that each one can use the
+unused budget of the previous ones. Errors are measured on the training set against a reference. The validation
+set then checks the result. If the result fails, the coordinate with the largest effect is refined.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Number of repairs of a plan that fails on the validation set; each tries all coordinates, with twice the steps of the
-# one before. Chosen so that a search has fewer than fifty trials.
+# Limit: number of repairs of a plan that fails on the validation set. Each repair tries all coordinates, with twice the
+# steps of the previous one. A search then has fewer than fifty trials.
 _REPAIRS = 3
-# Number of octaves by which a search coarsens a bandwidth. Chosen so that bounds exceed what one surface requires by
-# less than this.
+# Limit: a search coarsens a bandwidth by at most 2 to the power of this number. Upper bounds exceed the bandwidth that
+# one surface requires by less.
 _OCTAVES = 3
-# Every search, whatever its tolerance, tries only bandwidths that are a whole number of steps from the bandwidth for
-# this tolerance. Otherwise a looser tolerance could cost a part of a step more than a tighter one.
+# Tolerance that defines a common grid of bandwidths: every search tries only whole steps from the upper bound for this
+# tolerance. Without the grid, a looser tolerance could cost a fraction of a step more than a tighter one.
 _GRID_TOLERANCE = 1e-2
-# Least number of bright validation directions that represent all bright directions of the call. Fitted: random calls
+# Smallest number of bright validation directions that represent all bright directions of a call. Fitted to random calls
 # with few bright directions (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# With few bright directions, a search spends only this share of the error that is left. No predicted error is below
-# this share of the tolerance. Fitted: the same calls.
+# Share of the remaining error budget that a search uses if few validation directions are bright. The predicted error is
+# also at least this share of the tolerance. Fitted to random calls with few bright directions.
 _SHARE_BY_FEW = 0.1
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A number of a plan that a search changes in steps.
+    """Parameter of a plan that a search changes in steps.
 
     Attributes:
-        source: Field of the plan that has the error from this coordinate.
-        budget: Error that a plan may have once this coordinate is set.
+        source: Name of the plan's field that reports the error of this coordinate.
+        budget: Largest permitted error of a plan after this coordinate is coarsened.
         most: Largest number of steps.
-        coarser: Makes a plan coarser by a number of steps; finer if it is negative.
+        coarser: Function that returns a plan coarsened by a number of steps; a negative number refines it.
     """
 
     source: str
@@ -60,12 +60,15 @@ class Coordinate:
 
 
 def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
-    """The cheapest plan found that meets the tolerance on training set and validation set, with its errors.
+    """Search for the cheapest plan that meets the tolerance on the training set and the validation set.
 
     Args:
-        plan: The plan from bounds.
-        trial: Directions of the call.
-        automatic: Whether the method may change.
+        plan: Upper-bound plan.
+        trial: Trial, which evaluates plans on sampled directions of the call.
+        automatic: Whether the search may change the method.
+
+    Returns:
+        Plan with its predicted errors.
     """
     target = plan.tolerance / SEARCH_SAFETY
     plan = _on_grid(more_terms(replace(plan, least_weight=trial.reference.least_weight), trial, 0), trial)
@@ -79,9 +82,9 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         error = coarser_error
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # The validation set finds powers that cancel, which the training set has missed.
+        # The validation set may contain directions whose powers cancel in float32; the training set may not.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
-    # Each source has its share of the predicted error.
+    # The predicted error is divided among its sources in proportion to their measured errors.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
@@ -92,14 +95,17 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 
 
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
-    """Predict the error of a call from the validation error; the factor is larger if the set is a part of the call."""
+    """Predict the error of a call from the validation error.
+
+    The factor between them is larger if the validation set contains only a part of the call's directions.
+    """
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
     return max(predicted, _SHARE_BY_FEW * plan.tolerance)
 
 
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
-    """Refine a plan until its validation error is within the target; return it with this error."""
+    """Refine a plan until its validation error is within the target; return the plan and its validation error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for repair in range(_REPAIRS):
@@ -116,7 +122,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # No coordinate helps alone, but all of them may.
+            # No single parameter of the plan reduces the error, so that all parameters are refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -127,19 +133,22 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
 
 
 def _cost(plan: Plan, trial: Trial) -> float:
-    """Predicted multiply-adds per direction."""
+    """Return the predicted cost of a plan [multiply-adds per direction]."""
     return cost_model.sampling_multiply_adds(trial.heightfield, plan, *trial.rates)
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """The plan with so many more SIMD registers of terms, as far as its basis has them; fewer if negative."""
+    """Return the plan with a number of additional SIMD registers of terms, at most those of its basis.
+
+    A negative number removes registers.
+    """
     most = trial.most_terms(plan)
     terms = coefficient_table.lanes_of(plan.terms) + registers * LANES
     return replace(plan, terms=min(max(terms, min(LANES, most)), most))
 
 
 def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[Coordinate]:
-    """The coordinates of a plan, in the order in which they are searched."""
+    """Return the coordinates of a plan, in the order in which the search coarsens them."""
 
     def neighbours(plan: Plan, steps: int) -> Plan:
         least = trial.reference.least_weight
@@ -164,14 +173,15 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # The training set may miss the few directions whose light comes almost only from far away from a bright order.
+        # In few directions, nearly all light is the far tail of a bright order. The training set may miss these
+        # directions, so that neighbours with a weight of at least FLOOR times the tolerance always remain.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # All parts of the bandwidth are coarsened together before each part alone: one part could use up the budget
-        # that another one needs.
+        # All parts of the bandwidth are coarsened together before each part is coarsened alone. Otherwise the first
+        # part could use the whole budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -180,7 +190,7 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
 
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
-    """The plan with the coarsest step of a coordinate that is within its budget, by bisection, and its error."""
+    """Return the plan with the coarsest step of a coordinate within its budget, by bisection, and its error."""
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
     while high - low > 1:
@@ -192,19 +202,20 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # Further steps of the bandwidth save nothing, and would be in the way of repairs.
+        # Once the number of wavelengths is the smallest possible one, further steps of the bandwidth save no time.
+        # These steps are undone, because repairs would have to undo them first.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
 
 
 def _octave_steps(steps: int) -> float:
-    """The factor of a number of steps; one octave has ``SETS_PER_OCTAVE`` steps."""
+    """Return the factor for a number of steps; ``SETS_PER_OCTAVE`` steps are a factor of 2."""
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """The plan whose neighbours and bandwidth are the nearest that a search of another tolerance would try as well."""
+    """Return the plan with its least weight and bandwidth rounded to the steps that all tolerances share."""
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
         return plan
@@ -216,35 +227,36 @@ def _on_grid(plan: Plan, trial: Trial) -> Plan:
 def _scaled(
     bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
 ) -> tuple[float, float, float]:
-    """A bandwidth with other factors of the order rate and of the rest."""
+    """Return a bandwidth with its order rate multiplied by one factor, and its other parts by another."""
     per_rate, per_w, constant = bandwidth_um
     return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
 
 
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
-    """The plan with another bandwidth and the wavelengths for it."""
+    """Return the plan with another bandwidth and with the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
-    # Bounds for a grazing source end at a largest number of wavelengths, and serve order rates up to a limit. If a
-    # smaller bandwidth suffices, the same number of wavelengths serves larger rates, too.
+    # The number of wavelengths of a grazing source is limited, so that its plan is valid up to a largest order rate. If
+    # a smaller bandwidth suffices, the same number of wavelengths is valid for larger order rates.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
-    # Wavelengths times subdivisions, the samples of the periods' factor, must not decrease.
+    # The interference factor of the periods has one sample per wavelength and subdivision. The product of both must not
+    # decrease.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
     return replace(result, wavelengths=count, subdivisions=divisions)
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """The plan by the amplitudes of the reference, which do not cancel in float32."""
+    """Return the plan with the method of the reference, whose amplitudes do not cancel in float32."""
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
-    """A plan whose training error leaves half of the target, or the nearest that is found, with this error.
+    """Return a plan with a training error of at most half the target, or the closest one, and its error.
 
-    Powers of coefficients that vanish with a high power of κ cancel in float32; amplitudes do not. Bounds may require
-    more wavelengths for a source at the horizon, where they are cut short, and for very tall surfaces.
+    Powers of coefficients that vanish like a high power of κ cancel in float32; amplitudes do not. The upper bounds are
+    too small for very tall surfaces, and for grazing sources, where their number of wavelengths is limited.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:
@@ -257,8 +269,8 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # With too few samples to find an order, twice as many need not reduce the error yet: the loop goes on. With
-        # enough samples, an error that does not halve is the rounding of float32.
+        # With too few samples to resolve an order, twice as many samples may not reduce the error yet, so that the loop
+        # continues. With enough samples, an error that does not halve is the rounding error of float32.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

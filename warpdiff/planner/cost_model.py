@@ -1,8 +1,8 @@
-"""Cost model: multiply-adds of sampled wavelengths, of look-ups and of making a table.
+"""Cost model: predicted multiply-adds of sampled wavelengths, of table look-ups and of the construction of a table.
 
-Other work is counted in as many multiply-adds as take the same time. ``Plan`` turns these into seconds. The numbers
-were fitted to times on two cores, of which the model explains all but a factor of 1.5. Twice one of them moves the
-choice between plans by less than that.
+Other operations count as the number of multiply-adds that require the same time. ``Plan`` converts multiply-adds to
+seconds. The constants were fitted to times on two cores; the model predicts these times within a factor of 1.5. If one
+constant is doubled, the costs at which the planner changes its choice shift by less than this factor.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
-# Cost of a wavelength in addition to its sums, of a sample of the periods' factor, and of a term of the basis or of a
-# neighbour in addition to its products [multiply-adds]. Fitted.
+# Costs in addition to the products of a sum [multiply-adds]. The first is per wavelength or sample of the interference
+# factor, the second per basis term or neighbour. Fitted.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
-# Cost of a sample of a table's spectrum, or of a line of a source's, in addition to its products [multiply-adds].
+# Cost per sample of a table's spectrum, or per spectral line of a source, in addition to its products [multiply-adds].
 # Fitted.
 _COST_OF_SAMPLE = 150.0
-# Cost of a colour of a row that is filtered and written, and of a multiply-add of the projection, which consists of
-# SIMD products alone [multiply-adds]. Fitted.
+# Cost of filtering and writing one number of a table row, and cost of one multiply-add of the projection, which uses
+# SIMD instructions only [multiply-adds]. Fitted.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """How many wavelengths a direction requires, or each of several."""
+    """Return the number of wavelengths that directions require, for numbers or arrays of order rates and |w|."""
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
@@ -48,12 +48,13 @@ def sampling_multiply_adds(
     heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:  # fmt: skip
-    """Predicted multiply-adds per direction, the mean over directions of some order rate and |w|."""
+    """Predict the multiply-adds per direction, as a mean over directions with the given order rates and |w|."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        # Sets of wavelengths are larger than needed by half of their ratio.
+        # Quadratures exist only in sizes with a constant ratio. On average, a quadrature is larger than required by the
+        # square root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
@@ -61,7 +62,7 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # At a wavelength of half a micrometre, for a source.
+        # For a source, the radius of the neighbourhood depends on the wavelength; 0.5 µm is typical.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0
@@ -76,12 +77,12 @@ def sampling_multiply_adds(
 
 
 def look_up_multiply_adds(plan: Plan) -> float:
-    """Predicted multiply-adds of a look-up."""
+    """Predict the multiply-adds of one table look-up."""
     return lookup.MULTIPLY_ADDS_OF_FUNCTION * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
 
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
-    """Predicted multiply-adds of making a table."""
+    """Predict the multiply-adds of the construction of a table."""
     layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
@@ -92,7 +93,8 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # About as many powers as terms, or twice as many of amplitudes, and as many functions of w, for X, Y and Z.
+    # A row of the spectrum has about one number per term, or two if amplitudes add. The number of functions of w is
+    # about the same. X, Y and Z are computed for each of them.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

@@ -1,4 +1,4 @@
-"""Refusals and warnings of the planner: what it cannot plan, what may be wrong, and the remedy."""
+"""Errors and warnings of the planner for calls that it cannot plan or that may be inaccurate, with their remedies."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of coefficients to keep at hand for a direction. Limit: a wider neighbourhood is a mistake in the
-# units, or a patch much larger than its window.
+# Limit: number of coefficients in the neighbourhood of a direction. A larger neighbourhood suggests a wrong unit, or a
+# patch that is much larger than its window.
 _MOST_NEIGHBOURS = 40_000
-# Side of the patch that a refusal recommends, in σ of its window. Derived: the averaged window's weight of products
-# exp(−r²/4σ²) is 1e-11 at half of it.
+# Patch size that an error message recommends, in standard deviations σ of the window. Derived: at half of it, the
+# weight exp(−r²/4σ²) of an averaged window is 1e-11.
 _PATCH_IN_SIGMAS = 20.0
-# Largest number of wavelengths times subdivisions for replicas. Limit: the memory of a quadrature.
+# Limit: number of wavelengths times subdivisions for replicas; the memory of a quadrature is proportional to it.
 _MOST_SAMPLES = 2_000_000
-# Excess of a call's range over its plan's, relative, that is no reason to warn. Limit: ranges of coefficients are
-# rounded up by more.
+# Limit: relative excess of a call's directions over the range of its plan without a warning. Ranges of coefficients are
+# rounded up by more than this.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -44,7 +44,7 @@ _LESS_COHERENT = {
 
 
 def check_integration(request: Evaluation) -> None:
-    """Refuse a table for a spectrum."""
+    """Raise an error if a call requests a colour table for a spectrum."""
     if not request.integrates and request.integration == "table":
         raise ArgumentValueError(
             f"{ref('integration')} must not be 'table' for a spectrum, which is not integrated over λ"
@@ -52,7 +52,7 @@ def check_integration(request: Evaluation) -> None:
 
 
 def check_size(heightfield: HeightField, plan: Plan) -> None:
-    """Refuse a plan from bounds with more neighbours or wavelengths than are supported."""
+    """Raise an error if an upper-bound plan has more neighbours or wavelengths than are supported."""
     if plan.method != "direct" and plan.coherence.kind != "replicas":
         _check_neighbours(heightfield, plan)
     if plan.wavelengths > bounds.MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
@@ -71,7 +71,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
-    """Refuse a neighbourhood that no one means."""
+    """Raise an error if the neighbourhood of a direction has too many coefficients."""
     rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
     if rows * columns <= _MOST_NEIGHBOURS:
         return
@@ -88,15 +88,15 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _longest_sigma_um(coherence: Coherence) -> float:
-    """σ of a window [µm], of a source's at the longest wavelength."""
+    """Return σ of a window [µm], or of the equivalent window of a source at the longest wavelength."""
     if coherence.sigma_um is not None:
         return coherence.sigma_um
     return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
 def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
-    """Refuse, or warn of, a plan that cannot meet its tolerance."""
-    # The safety factor in measured errors is no reason to refuse.
+    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` is False."""
+    # Measured errors include a safety factor. A plan that exceeds its tolerance by less than this factor is accepted.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
@@ -129,7 +129,7 @@ def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """The refusal of an explicit table of which even the smallest size is too large."""
+    """Return the error for a requested table if even the smallest sufficient size is too large."""
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
         f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
@@ -138,7 +138,7 @@ def table_too_large(tolerance: float) -> ToleranceError:
 
 
 def warn_of_scalar_error(heightfield: HeightField, plan: Plan) -> None:
-    """Warn of a surface that scalar diffraction does not serve."""
+    """Warn of a surface for which scalar diffraction is invalid."""
     if plan.scalar_error >= diagnostics.SCALAR_INVALID:
         warn(
             f"scalar diffraction is {diagnostics.scalar_error_text(plan.scalar_error)}; {ref('heightfield')} has "
@@ -148,10 +148,10 @@ def warn_of_scalar_error(heightfield: HeightField, plan: Plan) -> None:
 
 
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
-    """Warn where the directions require frequencies beyond the Nyquist limit of the pitch.
+    """Warn if the directions require frequencies beyond the Nyquist limit of the pitch.
 
-    Neighbours beyond the limit repeat those within it, but for the phase of a window that lies between samples: such a
-    window's radius of neighbours must be within the limit as well.
+    Coefficients beyond the limit are aliases of those within it. The phases of a window with its centre between samples
+    are an exception. All neighbours of such a window must therefore be within the limit.
     """
     pitch_um = diagnostics.coarsest_pitch_um(heightfield)
     if pitch_um == 0.0:
@@ -170,9 +170,9 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 def warn_outside(
     plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, integrates: bool = True
 ) -> None:
-    """Warn where a call with an explicit plan goes beyond the range that the plan is valid for.
+    """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit plan.
 
-    Only sums over wavelengths, which spectra are not, depend on the order rate.
+    The order rate matters only for sums over wavelengths, and not for spectra.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
@@ -182,10 +182,11 @@ def warn_outside(
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
-        # For windows it is |(u, v)|.
+        # For windows, the order rate is |(u, v)|, which is compared already.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
-        # A basis is fitted to the wavelengths. Renderers give 0 for the least |w|, which is no reason to warn.
+        # A basis is fitted to a range of wavelengths. The smallest |w| is not compared, because renderers always report
+        # 0 for it.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"

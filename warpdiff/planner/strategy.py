@@ -1,8 +1,8 @@
-"""Strategy of a plan: direct sum, bounds, colour table or search, by method, number of directions and cost.
+"""Strategy of the planner: selects the direct sum, upper bounds, a colour table or a search, by predicted cost.
 
-Bounds that hold for all directions of the range come first. Calls of few directions are computed by them; for many, a
-search finds on a sample of the directions how much of the bounds is needed, or a colour table replaces the integral
-over the wavelength.
+The planner first computes an upper-bound plan, which suffices for all directions of the range. Calls with few
+directions use this plan. For many directions, a search on sampled directions finds a cheaper plan, or a colour table
+replaces the integral over the wavelength.
 """
 
 from __future__ import annotations
@@ -48,16 +48,17 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Cost of bounds over the cost of the plan that a search finds, by kind of coherence. Fitted: medians of 32 random calls
-# (docs/decisions/plans_and_tolerance.md).
+# Cost of the upper-bound plan divided by the cost of the plan from a search, by kind of coherence. Fitted: medians of
+# 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Number of directions that a plan from a search computes in the time of the search. Fitted: the same calls.
+# Cost of a search, as the number of directions that the resulting plan evaluates in the same time. Fitted to 32 random
+# calls.
 _SEARCH_DIRECTIONS = 16_000
-# Least number of directions for which an explicit method that adds powers in float32 is tried: only a trial finds its
-# rounding. Limit: fewer are not worth a second.
+# Limit: smallest number of directions for which an explicit method that adds powers is tried in float32. Only a trial
+# measures its rounding error; for fewer directions, the second that a trial requires is too expensive.
 _FEWEST_TRIED = 16
-# Assumed number of calls like this one that share the cost of a table. Limit: a picture that is worth a table is
-# rendered again, with another light or view.
+# Assumed number of similar calls that share the cost of a table, because pictures are often rendered again with another
+# light or view. If doubled, the planner uses tables from about half as many directions on.
 _EXPECTED_REPEATS = 3
 
 
@@ -69,13 +70,13 @@ def plan(
     """Plan an evaluation of directions without computing it.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
-        to_view: Directions to the viewer, shape (3,) or (n, 3); None is the whole hemisphere.
+        to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
 
     Returns:
-        The plan; ``print(plan)`` explains it.
+        Plan; ``print(plan)`` explains it.
 
     Raises:
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
@@ -98,9 +99,10 @@ def plan(
 def directions_of(
     request: Evaluation, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
-    """The range of directions, a sample of them, and their number; None is the whole hemisphere.
+    """Return the range of the directions, a sample of them, and their number.
 
-    A plan for directions that are not yet known is made for many.
+    An argument of None means the whole hemisphere. The number of directions is then infinite, and the plan is made for
+    many directions.
     """
     heightfield, coherence = request.heightfield, request.coherence
     hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
@@ -125,7 +127,7 @@ def directions_of(
 
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """As many of some directions as represent the hemisphere, repeated where they are fewer."""
+    """Return known directions, selected or repeated, as many as a sample of the hemisphere has."""
     checked, _ = validation.directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
@@ -136,7 +138,10 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
 def _any_direction(
     heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, known: NDArray[np.float64] | None
 ) -> DirectionRange:
-    """Return the range of the whole hemisphere on one side and of the known directions, or all, on the other."""
+    """Return the range of all pairs of a known direction and any direction of the hemisphere.
+
+    If ``known`` is None, both directions of a pair are any of the hemisphere.
+    """
     max_uv = min_w = max_w = 0.0
     if known is None:
         max_uv, min_w, max_w = 2.0, 0.0, 2.0
@@ -144,16 +149,17 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # A grazing source has no largest bandwidth: directions beyond the sample's use the largest set of wavelengths.
+    # The order rate of a grazing source is unbounded. The largest rate of the sampled directions limits it, and
+    # directions beyond it use the largest number of wavelengths.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
 @single_threaded_blas()
 def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-    """Return the plan for all directions of a range, which a search judges on a sample of them.
+    """Return the plan for all directions of a range; a search tries it on a sample of the directions.
 
-    There are ``count`` directions, or fewer where pixels show means.
+    ``count`` is the number of directions, or of pixels if pixels show means over several directions.
     """
     heightfield, tolerance, method = request.heightfield, request.tolerance, _method(request)
     refusals.check_integration(request)
@@ -165,7 +171,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # It may take a basis of its own, which a search does not.
+    # The plan without measurements is computed only if it is required, because it may require the fit of another basis.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
@@ -173,7 +179,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     else:
         result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # The series that all bases are made from and judged by ends too soon. Its remainder is that of an amplitude.
+        # The series from which all bases are fitted has too few terms, so that no trial can detect its error. The bound
+        # of that error is for amplitudes and is converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
     refusals.check_error(heightfield, result, strict=request.strict)
@@ -181,19 +188,20 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def _method(request: Evaluation) -> str:
-    """The method: an explicit integration without a method is for the automatic expansion."""
+    """Return the method of a request; an explicit integration without a method implies the low-rank expansion."""
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether a table is to show means over footprints."""
+    """Whether pixels of a request show means over footprints by the mip levels of a table."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
-    """Multiply-adds that making a table may cost: what it saves so many directions of a plan by bounds; 0 for no table.
+    """Return the largest cost of a table that pays off for ``count`` directions [multiply-adds]; 0 for no table.
 
-    A table that is asked for, or that shows footprints, may cost any number.
+    The cost must be below the predicted saving relative to a plan from a search. The limit is infinite for a requested
+    table and for footprints.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
@@ -211,20 +219,20 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
-    """Whether a search takes less time than it saves, or is needed because bounds do not hold."""
-    # Bounds that were cut short for a source at the horizon are none, and may miss all light.
+    """Whether a search requires less time than it saves, or is necessary because the upper bounds are insufficient."""
+    # The limited number of wavelengths for a grazing source is no upper bound. Such a plan may miss all orders.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
-    # Powers of coefficients that vanish with κ cancel in float32, which only a trial finds.
+    # Powers of coefficients that vanish towards κ = 0 cancel in float32. Only a trial measures this error.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
         return count >= _FEWEST_TRIED
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """The plan from bounds, with the mean cost of some directions, where there are any."""
+    """Return the upper-bound plan with its mean cost over the sampled directions, without any trial."""
     if _method(request) == "auto":
-        # Without a trial amplitudes are safer than powers, which cancel in float32, and take no longer.
+        # Without a trial, amplitudes are safer than powers, which may cancel in float32. Amplitudes do not cost more.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )
@@ -237,7 +245,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """The plan with the terms that a fitted basis requires, and with the power that aliases."""
+    """Return the plan with the number of terms that a fitted basis requires, and with the aliased power."""
     if plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
             request.heightfield, plan.method, plan.coherence, direction_range,
@@ -252,9 +260,9 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
 def _measured(
     request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan, affordable: float
 ) -> Plan:
-    """The plan that a search finds, with a table or without, or the bounds where all directions are dark.
+    """Return the plan of a search, with or without a table, or the upper-bound plan if all directions are dark.
 
-    A table may cost ``affordable`` multiply-adds to make; 0 is none.
+    ``affordable`` is the largest cost of a table [multiply-adds]; 0 excludes tables.
     """
     plan = _with_basis(upper, request, direction_range)
     measured = trial.Trial(plan, request, direction_range, sample, coarse=_coarse_plan(request, direction_range))
@@ -264,7 +272,8 @@ def _measured(
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
-        # Points instead of means have a larger error than a table that meets the tolerance without any safety.
+        # For footprints, a table is accepted if it meets the tolerance without a safety factor. Point samples instead
+        # of means would have a larger error.
         if table is not None and (
             explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
@@ -275,8 +284,8 @@ def _measured(
 
 
 def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """A plan that only finds the bright directions, for the largest tolerance."""
+    """Return a cheap plan for the largest tolerance, which only serves to find the bright directions."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
-    # Bounds are generous: half of their wavelengths suffice.
+    # Upper bounds are conservative; half of their wavelengths suffice for this purpose.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

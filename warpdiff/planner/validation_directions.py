@@ -1,10 +1,10 @@
-"""Training and validation sets: samples of a call's directions, with edge cases.
+"""Training and validation sets: samples of the directions of a call, with edge cases.
 
-A uniform sample of a call misses what decides where little of it is bright. So the geometry of thousands of directions
-is examined. About a thousand of these are candidates: uniform ones, and all edge cases (near the mirror direction, near
-strong orders, of the largest gain, at the ends of the call's ranges). A coarse plan finds how bright candidates are. A
-search's training set and its validation set are drawn from them, nearly half of them for being bright. Each direction
-weighs as much as the part of the call that it represents.
+If few directions of a call are bright, a uniform sample may miss them. The geometry of up to 8,192 directions is
+therefore examined. About 1,024 of them become candidates: uniform ones, and all edge cases. Edge cases are near the
+mirror direction, near strong orders, at the largest geometry factors, or at the ends of the call's ranges. A coarse
+plan estimates the luminance of the candidates. The training set and the validation set are drawn from the candidates;
+bright candidates have a higher probability. Each direction has the weight of the directions that it represents.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# Number of candidates in addition to the edge cases, and number of training directions. Fitted: half as many miss the
-# tolerance in more than one call of a hundred; twice as many cost twice the planning time.
+# Number of uniform candidates, and number of training directions. Fitted: if halved, more than 1 % of the calls exceed
+# the tolerance; if doubled, planning requires twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
-# Number of validation directions: more than for training, as they judge the result.
+# Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
+# is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind, and of strong orders, each of which is a kind. Limit: all of them together are at
-# most a third of the candidates.
+# Limit: number of edge cases of each kind, and number of strong orders. Directions near one strong order are a kind of
+# their own. All edge cases are at most a third of the candidates.
 _EDGE_CASES = 16
-# Share of the edge cases in a set, relative to the share of a uniform sample of the call; bright directions have the
-# same share as that sample. Limit: a fifth of a set remains for edge cases, however many they are.
+# Share of the edge cases in a set, relative to the share of its uniform directions. Bright directions have the same
+# share as uniform ones. About a ninth of a set is then edge cases, in addition to those among the other directions.
 _EDGE_CASE_SHARE = 0.25
 
 
 def candidates(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
-    """The candidates, and which of them are edge cases.
+    """Return the candidates, and a mask of the edge cases among them.
 
     Args:
-        heightfield: The height field.
-        direction_range: The range of the call.
-        sample: Directions of the call.
-        plan: A coarse plan, whose coefficients show where strong orders are.
-        threads: Threads on the CPU.
+        heightfield: Height field.
+        direction_range: Range of the call's directions.
+        sample: Sample of the call's directions.
+        plan: Coarse plan; the strong orders are found by its coefficients.
+        threads: Number of threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
     if len(sample) > _TRAINING + _VALIDATION:
@@ -64,13 +65,13 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """Select training set and validation set among the candidates; of few directions, all are validation directions.
+    """Select a training set and a validation set among the candidates; a small call is validated completely.
 
     Args:
-        candidates: The candidates.
-        is_edge_case: Which of them are edge cases, shape (n,).
-        luminance: Approximate luminance of each, shape (n,).
-        floor: Least luminance of a bright direction.
+        candidates: Candidate directions.
+        is_edge_case: Mask of the edge cases, shape (n,).
+        luminance: Approximate luminance of each candidate, shape (n,).
+        floor: Smallest luminance of a bright direction.
     """
     weights = candidates.weights
     bright = np.where(luminance >= 0.5 * floor, weights, 0.0)
@@ -82,7 +83,8 @@ def sampled(
     both = _TRAINING + _VALIDATION
     if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
-    # Both sets get their share of few bright directions: each run in the order of brightness is divided among them.
+    # Directions are sorted by luminance, and every third one is for training. Both sets therefore contain some of the
+    # brightest directions, even if few directions are bright.
     is_training = np.arange(len(order)) % (both // _TRAINING) == 0
     training, validation = order[is_training], order[~is_training]
     return (
@@ -95,14 +97,15 @@ def _draw(
     candidates: DirectionSample, among: NDArray[np.int64], measure: NDArray[np.float64], count: int,
     represents: float = 1.0,
 ) -> DirectionSample:  # fmt: skip
-    """``count`` of some directions, drawn in proportion to a measure, evenly along their order, each at most once.
+    """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each at most once.
 
-    Each direction of ``among`` represents so many.
+    The probability of a direction is proportional to ``measure``. Each index in ``among`` represents ``represents``
+    candidates, and weights increase by this factor.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # Directions that would be drawn more than once are drawn once, and the others more often.
+    # Directions with a probability above 1 are drawn exactly once. The probabilities of the others increase.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
@@ -117,11 +120,12 @@ def _draw(
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Directions that may decide, however few: near the mirror or an order, of large gain, at the ranges' ends."""
+    """Return the indices of edge cases: near a strong order, with a large geometry factor, or at the end of a range."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
-    # Each order is a kind: many directions near one of them say nothing of the few near another.
+    # Each strong order is a separate kind of edge case, because errors near one order do not indicate errors near other
+    # orders.
     order_light = _order_light(heightfield, direction_range, sample, plan, threads=threads)
     scores = [-across, sample.gains, *order_light.T, across, order_rates, w, -w, -light, light + w]
     return np.unique(np.concatenate([np.argpartition(score, -_EDGE_CASES)[-_EDGE_CASES:] for score in scores]))
@@ -130,7 +134,7 @@ def _edge_cases(
 def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """Logarithm of the light that directions may show of each of the strongest orders but the zeroth, shape (n, m)."""
+    """Return the logarithm of the power that each strong order, except the zeroth, may send to directions, (n, m)."""
     coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield, plan.method, plan.coherence, direction_range,
         coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
@@ -139,19 +143,19 @@ def _order_light(
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    # The zeroth order is another kind.
+    # Directions near the zeroth order are another kind of edge case.
     others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
-    # The wavenumber in the visible band at which a direction is nearest to each order.
+    # The variable foot is the visible wavenumber 1/λ at which a direction is nearest to each order.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # The patch of replicas has no window: 1 µm² stands for its falloff.
+    # The patch of replicas has no window, so that a falloff of 1 µm² replaces that of a window.
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # A centred window's is that of amplitudes: with that of powers, valleys between orders are no edge cases, where
-        # tables have their largest errors.
+        # For a centred window, the falloff is that of amplitudes. With the falloff of powers, the minima between orders
+        # would not be edge cases, although tables have their largest errors there.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

@@ -1,4 +1,4 @@
-"""Range of a call's directions, and a sample of them on which the planner tries plans."""
+"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit on the number of directions in the sample that a plan is tried on. If doubled, planning takes longer.
+# Limit on the number of sampled directions on which the planner tries plans. If doubled, planning requires more time.
 MOST_SAMPLED = 8192
-# Number of directions of a call from which the planner samples at most half of them; smaller calls are used whole.
+# Smallest number of directions of a call that the planner samples, at most every second one. All directions of smaller
+# calls are used.
 _SAMPLED_FROM = 4096
 # Random seed of the sample, arbitrary; with another seed, plans differ slightly.
 _SEED = 2
@@ -33,7 +34,7 @@ class DirectionSample:
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3), float64.
         to_lights: Unit vectors to the light in the local frame, shape (n, 3), float64.
-        gains: Factors between ⟨|P|²⟩ and the result, shape (n,).
+        gains: Geometry factors by which ⟨|P|²⟩ is multiplied, shape (n,).
         weights: Number of directions of the call that each direction of the sample represents, shape (n,).
     """
 
@@ -53,7 +54,10 @@ class DirectionSample:
         gains: NDArray[np.floating],
         parts: int = 1,
     ) -> DirectionSample:
-        """Sample the illuminated directions evenly in their order; ``parts`` passes share the sample of a call."""
+        """Sample the illuminated directions evenly in their order.
+
+        ``parts`` is the number of passes of the call; each pass contributes this share of the sample.
+        """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
         weights = np.full(len(places), len(illuminated) / max(len(places), 1))
@@ -77,8 +81,8 @@ class DirectionSample:
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Indices of the illuminated directions in a sample that ``parts`` passes share."""
-    # Each pass contributes at least one direction, however many passes there are.
+    """Return the indices of ``count`` illuminated directions that one of ``parts`` passes contributes to a sample."""
+    # Each pass contributes at least one direction, even if the number of passes exceeds the limit.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -100,7 +104,7 @@ class DirectionRange:
 
     Attributes:
         max_uv: Largest |(u, v)|.
-        max_order_rate: Largest of :func:`order_rate`.
+        max_order_rate: Largest order rate, as :func:`order_rate` defines it.
         min_w: Smallest |w|.
         max_w: Largest |w|.
         lambda_min_nm: Shortest wavelength [nm].
@@ -158,10 +162,10 @@ def order_rate(
     scattering_vectors: NDArray[np.float64],
     to_lights: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """Rate at which the frequency q moves over the coefficients as 1/λ changes, shape (n,).
+    """Return the rate at which the frequency q = (u, v)/λ changes with 1/λ, shape (n,).
 
-    It is |(u, v)| for a window and |(u Lx, v Ly)| [µm] for replicas. For a source (u, v) is first stretched along the
-    tangential direction of the light, in which the source is foreshortened.
+    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. A source is foreshortened along the
+    tangential direction of the light. Its rate is |(u, v)| after (u, v) is stretched along that direction.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

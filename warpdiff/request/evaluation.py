@@ -30,7 +30,7 @@ class Evaluation:
     """Resolved settings of a call: surface, accuracy, method, light and device.
 
     Attributes:
-        heightfield: The height field.
+        heightfield: Height field.
         tolerance: Accepted relative error of XYZ, or of ρ for a spectrum.
         method: One of the methods of ``settings.Method``.
         integration: One of ``settings.Integration``.
@@ -72,7 +72,10 @@ class Evaluation:
         illuminants: tuple[colorimetry.Illuminant, ...] = (), wavelengths_nm: NDArray[np.float64] | None = None,
         by_geometry: bool = False, footprint: bool = False,
     ) -> Evaluation:  # fmt: skip
-        """Resolve checked settings for a height field; with ``by_geometry`` materials may be a mapping by geometry."""
+        """Resolve checked settings for a height field.
+
+        ``by_geometry`` permits a mapping of materials by the names of a mesh's geometries.
+        """
         check_whole(heightfield)
         for illuminant in illuminants:
             colorimetry.check_illuminant(illuminant)
@@ -99,7 +102,7 @@ class Evaluation:
 
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
-        """Factors of colours for normalised energy, or None."""
+        """Factors by which normalised energy multiplies colours, or None for ``energy="stam"``."""
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:

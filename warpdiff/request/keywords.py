@@ -1,4 +1,4 @@
-"""Keyword arguments of public functions, for type checkers; by ``python -m bench.dev.write_keywords``."""
+"""Types of the keyword arguments of public functions, written by ``python -m bench.dev.write_keywords``."""
 
 from __future__ import annotations
 

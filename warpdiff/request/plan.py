@@ -34,13 +34,13 @@ LABELS = {
     "power": "Chebyshev series of the powers",
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
-# Multiply-adds per second of one processor core, as measured: sums over wavelengths and the making of tables; look-ups,
-# which wait for memory. They convert predicted costs to the times that a plan reports.
+# Measured speed of one CPU core [multiply-adds per second]: in sums over wavelengths and while tables are computed; and
+# in table look-ups, which memory limits. The speeds convert predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Limits on the rings per octave of a colour table.
 MIN_RINGS, MAX_RINGS = 4, 512
-# Step and limit of the number of functions of w in a colour table. Each number is compiled to kernels of its own, and
-# the step keeps these few.
+# Step and limit of the number of functions of w in a colour table. Each number requires separately compiled kernels, so
+# that a smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
 # Limits (least, most) of the fields that state for which directions and wavelengths a plan is valid. A component of a
 # sum of two unit vectors is at most 2, plus rounding.
@@ -56,21 +56,22 @@ _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 class Plan:
     """Parameters of a computation, with predicted errors and costs.
 
-    ``dataclasses.replace(plan, terms=9)`` changes a parameter; pass the result as ``plan=``. Errors are relative errors
-    of XYZ, as ``tolerance`` is.
+    ``dataclasses.replace(plan, terms=9)`` changes a parameter; pass the result as ``plan=``. Errors and ``tolerance``
+    are relative errors of XYZ.
 
     Attributes:
         method: Name of the expansion, or ``"direct"``.
         coherence: Coherence: a window, a source size or a number of periods.
         tolerance: Accepted error, 1e-5 to 0.5.
         terms: Number of terms of the expansion, 1 to 128.
-        least_weight: Smallest Gaussian weight of powers or amplitudes, 0 to 1; coefficients with less are excluded.
+        least_weight: Smallest Gaussian weight of powers or amplitudes, 0 to 1. Coefficients with a smaller weight are
+            excluded.
         wavelengths: Number of samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source. 0 for a
-            spectrum, whose wavelengths the caller chooses.
+            spectrum, because the caller chooses its wavelengths.
         subdivisions: For ``"replicas"``, number of samples of the interference factor per sample of the patch's factor.
         bandwidth_um: Samples per unit of 1/λ that a direction requires, as (a, b, c) of a·rate + b·|w| + c. The rate is
             |(u, v)|; for a source it is stretched along the foreshortening, for replicas it is |(u Lx, v Ly)|.
-        adaptive: Whether directions with less than the largest bandwidth use fewer samples.
+        adaptive: Whether directions of small bandwidth use fewer samples.
         rings_per_octave: Rings per octave of the polar table that replaces the integral over λ; 0 samples wavelengths.
         azimuths_per_width: Azimuth samples of that table per standard deviation of the spectrum's blur.
         w_basis_size: Number of functions of w that the table's colours share, a multiple of 4; 0 selects it by the
@@ -79,21 +80,21 @@ class Plan:
             otherwise from many points.
         energy_spread: Root mean square deviation of the reflected power of single wavelengths and directions from the
             incident power where energy is normalised; not part of ``error``. 0 for ``energy="stam"``.
-        max_uv: Largest |(u, v)| that the numbers are valid for.
-        max_order_rate: Largest rate, as in ``bandwidth_um``, that the numbers are valid for.
-        min_w: Smallest |w| that the numbers are valid for.
-        max_w: Largest |w| that the numbers are valid for.
-        lambda_min_nm: Shortest wavelength that the numbers are valid for [nm].
-        lambda_max_nm: Longest wavelength that the numbers are valid for [nm].
-        height_range_um: Largest height range that the numbers are valid for [µm].
+        max_uv: Largest |(u, v)| for which the plan is valid.
+        max_order_rate: Largest rate, as in ``bandwidth_um``, for which the plan is valid.
+        min_w: Smallest |w| for which the plan is valid.
+        max_w: Largest |w| for which the plan is valid.
+        lambda_min_nm: Shortest wavelength for which the plan is valid [nm].
+        lambda_max_nm: Longest wavelength for which the plan is valid [nm].
+        height_range_um: Largest height range for which the plan is valid [µm].
         truncation: Predicted error of the truncated expansion.
         neighbourhood: Predicted error of the excluded neighbours.
         quadrature: Predicted error of the integral over λ; 0 for a spectrum.
         rounding: Predicted error of float32 arithmetic.
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
-            directions, relative to their power. It is a property of the data and not part of ``error``.
-        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. It is a
-            property of the surface and not part of ``error``.
+            directions, relative to their power. The aliasing is a property of the data and not part of ``error``.
+        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. The bound
+            is a property of the surface and not part of ``error``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
             bounds.
@@ -174,7 +175,7 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Error bounds of series that diverge can be of any size.
+            # Diverging series have arbitrarily large error bounds.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.flag(self.is_measured, "is_measured")
         validation.count(self.validation_size, "validation_size", least=0)
@@ -200,7 +201,7 @@ class Plan:
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether mip levels of the table give the mean over a pixel."""
+        """Whether look-ups compute the mean over a pixel's footprint by mip levels of the table."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property
@@ -269,7 +270,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return the row about the integral over λ; a spectrum has no such row."""
+        """Return the line of a printed plan about the integral over λ, by its label; empty for a spectrum."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""

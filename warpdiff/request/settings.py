@@ -41,9 +41,9 @@ class CommonSettings(Checked):
     """Options of every function that evaluates a height field.
 
     Attributes:
-        tolerance: Error that is accepted, relative to the larger of the value and 1e-3 of the brightest: XYZ at the
-            99th percentile of the directions or illuminated pixels, and of the bright ones separately; for spectra
-            |Δρ|.
+        tolerance: Accepted relative error of XYZ (or ρ for spectra) at the 99th percentile of all directions or
+            illuminated pixels, and separately of the bright ones. The error is relative to the larger of the value and
+            1e-3 of the brightest value.
         method: Expansion of exp(2πiκh). ``"auto"`` selects the cheapest one that meets the tolerance; ``"direct"`` is
             the float64 sum without an expansion, which is slow.
         integration: Integration over the wavelength: by sampled wavelengths, or by a precomputed table of colours.
@@ -51,7 +51,7 @@ class CommonSettings(Checked):
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. Results are
             relative to the reflectance at normal incidence.
         material: Material of the surface instead of ``ior``; results are then relative to a perfect mirror. Pictures
-            also take a mapping from the names of a mesh's geometries to materials.
+            also accept a mapping from the names of a mesh's geometries to materials.
         strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it causes a warning.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core. Results do not depend on it.
@@ -78,7 +78,7 @@ class CommonSettings(Checked):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The coherence of the settings, or the default."""
+        """Coherence of the settings, or the default coherence."""
         return self.coherence or Coherence()
 
 
@@ -115,7 +115,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """The coherence of the explicit plan, or that of the settings, or the default."""
+        """Coherence of the explicit plan, or that of the settings, or the default coherence."""
         return super().effective_coherence if self.plan is None else self.plan.coherence
 
 
@@ -126,7 +126,7 @@ class EnergySettings(CommonSettings):
     Attributes:
         energy: ``"stam"``, or ``"normalised"``: the orders of a perfect mirror sum to 1 for every direction. Colours
             are then multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the
-            wavelengths, instead of masking. It requires about two seconds, once per height field.
+            wavelengths, instead of masking. The factors require about two seconds, once per height field.
     """
 
     energy: Energy = "stam"
@@ -156,7 +156,7 @@ class PictureSettings(EvaluationSettings):
         shadows: Whether the mesh can occlude the lights.
         smooth: Whether vertex normals are interpolated; otherwise facets show.
         tangents: Direction of the height field's x axis, world frame: one per vertex, shape (n, 3), or one for all,
-            shape (3,); its component in the surface counts. None takes it from the texture coordinates.
+            shape (3,). Only the component in the surface is used. None derives it from the texture coordinates.
         footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead
             of the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
             ``method="direct"``.

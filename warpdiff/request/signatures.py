@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from warpdiff.core.options import Option
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
-# Width of a line of a docstring [characters], as of the code.
+# Line width of generated docstrings [characters], equal to that of the code.
 _WIDTH = 120
 
 
 def accepts(settings: type) -> Callable[[Function], Function]:
-    """Make a function's ``**settings`` the fields of a class of settings.
+    """Return a decorator that replaces ``**settings`` of a function by the fields of a class of settings.
 
-    Signature and docstring list the fields, so that ``help``, IPython and Sphinx show them. An unknown name raises an
-    error that suggests the most similar name.
+    The signature and the docstring of the function then list the fields, so that ``help``, IPython and Sphinx show
+    them. An unknown name raises an error that suggests the most similar name.
 
     Args:
         settings: One of the classes of :mod:`warpdiff.request.settings`.

@@ -1,4 +1,4 @@
-"""Fourier coefficients of a height field on a device, in the layout of the spectral kernels, with a cache."""
+"""Tables of the Fourier coefficients of a height field on a device, as the spectral kernels read them; cached."""
 
 from __future__ import annotations
 
@@ -31,30 +31,35 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Rows of the table are padded to whole SIMD registers, and each length is a kernel of its own.
+# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of it, and each padded
+# length requires separately compiled kernels.
 LANES = 8
-# Least number of wavelengths of a set.
+# Limit: smallest number of wavelengths in a quadrature.
 _FEWEST_WAVELENGTHS = 16
-# Weight below which no neighbour is read.
+# Limit: smallest Gaussian weight of the coefficients that a table stores around a direction, even if a plan excludes
+# such small weights. Plans with different least weights therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# The cubics of a patch's power take four samples.
+# Limit: smallest number of wavelength intervals for replicas. Cubics through four wavelengths interpolate the power of
+# one patch.
 _FEWEST_INTERVALS = 4
-# Sizes of the sets of wavelengths, 2^(1/4) apart, so that plans share them.
+# Limit: number of permitted quadrature sizes per doubling of the size. Few permitted sizes let plans share quadratures.
 SETS_PER_OCTAVE = 4
-# As measured, while a quadrature is made.
+# Measured peak memory while a quadrature is computed [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
-# Samples of a material's reflectance over cos θd. Linear interpolation has an error of at most 1e-4, near the horizon.
+# Number of cos θd at which the reflectance of a material is tabulated. Linear interpolation has an error of at most
+# 1e-4, near the horizon.
 _ANGLES = 513
-# The same for a coefficient and a term, while a series is made or a basis is fitted to it, and for each frequency, by
-# itself and for each thread.
+# Measured peak memory [bytes]. The first two are per coefficient and term: while a series is computed, and while a
+# basis is fitted to it. The others are per frequency of the transform: in total, and for each thread.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
 @dataclass(frozen=True)
 class CoefficientRange:
-    """The range that a direction range is rounded up to.
+    """Range of frequencies and κ of the coefficients for a range of directions, rounded up to coarse steps.
 
-    Small changes of a moving light or view, and all visible wavelengths, meet the same one.
+    The range includes all visible wavelengths. Small movements of a light or a camera leave the range unchanged, so
+    that the cached coefficients remain valid.
 
     Attributes:
         frequency: Largest |q| [1/µm].
@@ -68,7 +73,7 @@ class CoefficientRange:
 
     @classmethod
     def covering(cls, direction_range: DirectionRange) -> CoefficientRange:
-        """The coefficients that a range of directions reaches."""
+        """Return the range of coefficients for a range of directions and wavelengths."""
         shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
@@ -80,15 +85,15 @@ class CoefficientRange:
 
 @dataclass(frozen=True)
 class CoefficientsKey:
-    """Key of the coefficients of a height field: all that they depend on besides its heights.
+    """Cache key of the coefficients of a height field: everything on which they depend except its heights.
 
     Attributes:
-        block: The coefficients that are kept.
-        kappas: The range of |κ| [1/µm].
+        block: Block of the stored coefficients.
+        kappas: Range of |κ|, smallest and largest [1/µm].
         method: One of ``coefficient_basis.METHODS``.
         terms: Number of terms of the series.
-        fits_powers: Whether a basis is fitted to powers.
-        is_tapered: Whether the grid of frequencies is finer than the patch's.
+        fits_powers: Whether a basis is fitted to powers instead of amplitudes.
+        is_tapered: Whether the grid of frequencies contains half orders of the patch, as replicas require.
     """
 
     block: Block
@@ -101,12 +106,12 @@ class CoefficientsKey:
 
 @dataclass(frozen=True)
 class RowsKey:
-    """Key of the rows of coefficients on a device: all that they depend on besides the heights.
+    """Cache key of the coefficient rows on a device: everything on which they depend except the heights.
 
     Attributes:
         device: Name of the device.
-        block: The coefficients that are kept.
-        coefficient_range: The range that they are for.
+        block: Block of the stored coefficients.
+        coefficient_range: Range of frequencies and κ.
         method: One of ``coefficient_basis.METHODS``.
         terms: Number of terms.
         kind: Kind of coherence.
@@ -124,13 +129,13 @@ class RowsKey:
 
 @dataclass(frozen=True)
 class Table:
-    """Kernels and the struct they read.
+    """Table of coefficients on a device, with the kernels that evaluate it.
 
     Attributes:
         integrate: Kernel that integrates over λ to XYZ.
-        sample: Kernel that evaluates given wavelengths.
-        arguments: Their first argument.
-        coefficients: Those that it holds.
+        sample: Kernel that evaluates the wavelengths that a caller chooses.
+        arguments: Struct with the table, the first argument of both kernels.
+        coefficients: Coefficients on the host from which the table was made.
     """
 
     integrate: Any
@@ -140,7 +145,7 @@ class Table:
 
 
 def lanes_of(terms: int) -> int:
-    """The length of a row of so many terms."""
+    """Return the padded length of a table row with ``terms`` terms."""
     return LANES * math.ceil(terms / LANES)
 
 
@@ -148,17 +153,19 @@ def coefficients_for(
     heightfield: HeightField, method: str, coherence: Coherence, direction_range: DirectionRange,
     neighbour_extent: tuple[int, int], *, terms: int, threads: int, to_fit: bool = False,
 ) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
-    """Return the coefficients of a direction range, computed or cached; they do not depend on the window.
+    """Return the coefficients for a range of directions, from the cache if possible, with their block and grid.
+
+    Coefficients do not depend on the size or position of a window.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         method: One of ``coefficient_basis.METHODS``.
-        coherence: How they add.
-        direction_range: The range of directions and wavelengths.
-        neighbour_extent: Coefficients (y, x) on either side of a direction that may be looked up.
-        terms: Number of terms of a series; a fitted basis finds its own.
-        threads: Transforms to run in parallel.
-        to_fit: Whether they are a series that a basis is to be fitted to, which at most a reference uses again.
+        coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
+        direction_range: Range of directions and wavelengths.
+        neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
+        terms: Number of terms of a series; the fit of a basis selects its own number.
+        threads: Number of transforms that run in parallel.
+        to_fit: Whether the result is only the series to which a basis is fitted; a cache of one entry then stores it.
     """
     coefficient_range = CoefficientRange.covering(direction_range)
     kappas = 0.0 if method in EXPANSIONS else coefficient_range.kappa_low, coefficient_range.kappa_high
@@ -202,13 +209,13 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # Memory of it would be on top of that of all tables.
+        # The series of the last fit is removed from its cache, because it would add to the memory of all tables.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
 
 def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
-    """The frequencies that a coherence form looks coefficients up at."""
+    """Return the grid of frequencies at which coefficients are computed for a kind of coherence."""
     if coherence.kind != "replicas":
         return fourier_coefficients.patch_grid(heightfield)
     return fourier_coefficients.fine_grid(
@@ -217,7 +224,7 @@ def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
-    """The kernels for rows of so many terms."""
+    """Return the kernels for table rows with ``terms`` terms."""
     powers = coefficient_basis.holds_powers(method, adds_powers=coherence.adds_powers)
     return coefficient_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
@@ -225,9 +232,10 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
 def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> Table:
-    """The table for a plan, and for what a call has beyond it, built or found again."""
+    """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # The plan's range, not the call's, which a fitted basis would depend on: a pinned plan computes the same always.
+    # A fitted basis depends on the range of directions. Calls within the plan's range use the plan's range, so that the
+    # same plan always gives the same results.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -270,7 +278,7 @@ def table_for(
 
 
 def without_zeroth_order(table: Table) -> Table:
-    """A table, as just made, whose rows are copies of what they were but for the mean plane's, which are 0."""
+    """Replace the rows of a new table by copies in which the zeroth order, the reflection of the mean plane, is 0."""
     arguments = table.arguments
     rows = arguments.rows.numpy().copy()
     rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
@@ -279,9 +287,10 @@ def without_zeroth_order(table: Table) -> Table:
 
 
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
-    """The a [µm²] of the Gaussian exp(−a |q − q_rs|²).
+    """Return the factor a [µm²] of the Gaussian weight exp(−a |q − q_rs|²) of a coefficient.
 
-    4π²σ² on powers (averaged), 2π²σ² on amplitudes (centred), λ²/2s² on powers (a source that faces the surface).
+    The factor is 4π²σ² for powers (averaged), 2π²σ² for amplitudes (centred), and λ²/2s² for powers under a source at
+    normal incidence.
     """
     if coherence.sigma_um is None:
         return wavelength_um**2 / (2.0 * coherence.spread**2)
@@ -289,30 +298,33 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
 
 def radius(plan: Plan) -> float:
-    """Distance in frequency [1/µm] of the coefficients to keep at hand, of all but the least weights."""
+    """Return the distance in frequency [1/µm] up to which a table must contain the neighbours of a direction."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
     return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
 
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
-    """Coefficients (y, x) on either side of a direction to keep at hand.
+    """Return the number of coefficients along (y, x) on either side of a direction that a table must contain.
 
-    They are the same for all but the least weights, as is then a basis that is fitted to them.
+    Plans with least weights above ``_LEAST_EXTENT_WEIGHT`` have the same extent, and therefore the same fitted
+    basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # A slanted ellipse is covered by a parallelogram.
+    # At oblique incidence, the Gaussian weight of a source has elliptical contours. The kernels sum over a
+    # parallelogram of coefficients that contains the ellipse.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
 def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
-    """The struct ``Quadrature`` of the spectral kernels, for a plan, an illuminant and a material."""
+    """Return the struct ``Quadrature`` of the spectral kernels for a plan, an illuminant and a material."""
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # As many sets as the constant part leaves room for; a set of a few wavelengths is not worth a choice.
+    # Smaller quadratures are for directions of small bandwidth. The constant part of the bandwidth, which all
+    # directions require, limits their number.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -346,7 +358,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """The size of the smallest set of wavelengths that has as many as wanted, or one that falls short by a rounding."""
+    """Return the smallest permitted quadrature size of at least ``count`` wavelengths, up to a rounding tolerance."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -357,7 +369,7 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """The interpolation kernel; an axis of one sample has the same value at every frequency."""
+    """Set the tap polynomials of the interpolation kernel in a struct; an axis of one sample has one constant tap."""
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0
@@ -368,14 +380,14 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
 
 
 def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Amplitudes (my, mx, 2, terms) times a phase (my, mx)."""
+    """Return amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]
     return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)
 
 
 def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
-    """exp(−2πi q_rs·x_c), which moves the window from the patch's corner to x_c."""
+    """Return exp(−2πi q_rs·x_c), which moves the window from the corner of the patch to its position x_c."""
     middle = [n // 2 * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
     centre = coherence.centre_um or middle
     s, r = block.orders()

@@ -1,4 +1,8 @@
-"""Colour curves: spline weights that turn rows of the power spectrum into colours, and shared functions of w."""
+"""Colour curves: spline weights that convert rows of the power spectrum to XYZ, and functions of w that colours share.
+
+A colour curve is the product of an illuminant, a CIE colour-matching function and the reflectance of a material, as a
+function of the wavelength.
+"""
 
 from __future__ import annotations
 
@@ -26,34 +30,39 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Entries of the functions of w, between which they are cubics: 32 an oscillation and more.
+# Number of |w| at which the functions of w are tabulated, at least 32 per oscillation; cubics interpolate between them.
 _ENTRIES_OVER_W = 160
-# Where colours are this share of the largest, errors count as there.
+# Errors of colours at one |w| are relative to the colours there, but to at least this share of the largest colours over
+# all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
-# Samples of the colour curves from one node to the next.
+# Number of samples of the colour curves from one ring to the next.
 _SAMPLES_PER_NODE = 64
-# Errors of the colour curves count relative to them, down to this share of the largest: they vanish at both ends.
+# Errors of fitted colour curves are relative to the curves, but to at least this share of their largest value. The
+# curves vanish at both ends of the spectrum.
 _LEAST_SCALE = 0.005
-# Colour curves hold a material's reflectance at this cos θd. What it is elsewhere, relative to that, is a sum of
-# products of a function of |(u, v)| and of one of λ and w, which may leave out this share of the tolerance.
+# The first number is the cos θd of the reflectance that colour curves include. The ratio of the reflectance at other
+# angles to this reflectance is a sum of products: a function of |(u, v)| times a function of λ and w. The second number
+# is the largest error of this sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# Polynomials of cos θd stand for a reflectance, with this error. Their roots: the fewest serve metals, and the most
-# films that resonate next to the horizon.
+# Largest error of the polynomials in cos θd that approximate a reflectance, and smallest and largest number of their
+# Chebyshev nodes. Metals need the fewest nodes; thin films with resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# They hold no less of it than this share of its largest value, as films reflect nothing at some wavelengths.
+# Smallest reflectance in colour curves, relative to its largest value. Thin films reflect nothing at some wavelengths,
+# and ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class SpectrumBasis:
-    """The terms that rows of the spectrum consist of.
+    """Basis functions of |κ| in which the rows of a power spectrum are expanded.
 
     Attributes:
-        basis_at: The functions of |κ| that a row's numbers multiply, for |κ| (n,) of shape (n, terms).
-        kappas: The range of |κ| [1/µm].
-        sizes: How much each term matters, (terms,).
-        share: Of the tolerance, what functions of w may leave out.
-        holds_lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
+        basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
+        kappas: Range of |κ|, smallest and largest [1/µm].
+        sizes: Relative size of each term in typical rows, shape (terms,).
+        share: Truncation error of the expansion in functions of w, as a share of the tolerance.
+        holds_lines: Whether rows are densities of spectral lines per unit area of frequency. Densities per unit area of
+            (u, v) are smaller by the factor λ⁻².
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -65,11 +74,11 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """A part of one octave's colours: a projection of the spectrum, times a number for each node of |(u, v)|.
+    """Summand of the colours of one octave of |(u, v)|: a projection of the spectrum, times a factor for each ring.
 
     Attributes:
-        projection: Index of the projection, which octaves may share.
-        factors: The number for each ring of the octave, shape (rings,); None is 1.
+        projection: Index of the projection; several octaves may share it.
+        factors: Factor for each ring of the octave, shape (rings,); None is 1.
     """
 
     projection: int
@@ -78,15 +87,15 @@ class SeparableTerm:
 
 @dataclass(frozen=True)
 class Projection:
-    """The weights that turn rows of the spectrum into colours.
+    """Weights that convert rows of the spectrum to colours.
 
     Attributes:
-        ws: |w| at equal steps.
-        w_basis: Functions of these that all colours share, shape (entries, m).
-        weights: What rings count for X, Y and Z, shape (rings, 3).
-        matrices: For each projection, for each ring from the one before a colour's own to its blue end and beyond, and
-            for each term, the coefficients of the functions of w, shape (rings, terms, m).
-        octaves: For each octave of |(u, v)| the products whose sum its colours are: a single one without a material.
+        ws: Tabulated values of |w|, equally spaced, shape (entries,).
+        w_basis: Functions of w that all colours share, at these |w|, shape (entries, m).
+        weights: Weights of the rings of one octave in X, Y and Z, shape (rings, 3).
+        matrices: One matrix per projection: the coefficients of the functions of w for each ring and term, shape
+            (rings, terms, m). The rings extend from one before the red end of a colour to one beyond its blue end.
+        octaves: For each octave of |(u, v)|, the terms whose sum is its colours; a single term without a material.
     """
 
     ws: NDArray[np.float64]
@@ -100,12 +109,13 @@ class Projection:
 def make_projection(
     plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
 ) -> Projection:
-    """The projection for a plan's nodes and its functions of w, or as many of these as its tolerance asks for.
+    """Return the weights that convert power spectra to colours, for the rings of a plan.
 
-    As cos θd = |(u, v, w)|/2, a material's R(θd, λ) is a function of λ, of w and of a node's |(u, v)|: it is within the
-    integral over λ, and look-ups do not know of it.
+    If the plan does not set the number of functions of w, the tolerance selects it. Because cos θd = |(u, v, w)|/2, the
+    reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
+    therefore includes it, and look-ups need no material.
     """
-    # The range of |w| whose |κ| at all wavelengths are within the terms'.
+    # At every |w| of this range, the |κ| of all visible wavelengths are within the range of the basis.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
     weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
@@ -121,12 +131,13 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # A singular value decomposition, by the eigenvectors of so small a matrix that threads of a library, which wait for
-    # each other at every step, do not make it longer where a core is not theirs.
+    # Eigenvectors of a small matrix give the singular value decomposition. A decomposition of the large matrix would
+    # use several threads of a library, and be slow where other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Largest omission of the first 0, 1, … functions over all |w|, because a call may use a single |w|.
+    # Entry n of this array is the truncation error with the first n functions. The error is the largest one over all
+    # |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -139,22 +150,24 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The part of a material's reflectance that colour curves hold, a function of the wavelength alone."""
-    # A material that reflects nothing, such as air, is black relative to any colour.
+    """Return the reflectance of a material that colour curves include, a function of the wavelength only."""
+    # A material such as air reflects nothing; the divisor 1 avoids a division by zero.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# The curves of the last plan serve all of its illuminants, and any number of functions.
+# The result does not depend on the illuminant or on the number of functions of w. The cache stores the last result.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
-    """Functions of (w, λ) with how large the numbers that multiply them are at most, and their products by octave.
+    """Approximate the reflectance of a material, relative to that in the colour curves, by sums of separable terms.
 
-    The products of one octave add up to R relative to what colour curves hold of it, but for a share, over a range of
-    |w|. Octaves of small |(u, v)| share a function.
+    The error is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)| share a function.
+
+    Returns:
+        Functions of (w, λ), each with its largest factor over all rings; and the terms of each octave.
     """
     ws, per_um = _places(rings_per_octave, low, high)
     grid = layout.levels[0]
@@ -172,7 +185,7 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # Beyond 2 there is no |(u, v)|.
+    # The outermost rings may be beyond 2, the largest possible |(u, v)|.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -181,7 +194,7 @@ def _material_products(
             octaves.append((shared,))
             continue
         values = ratio(uv).reshape(len(uv), -1)
-        # A singular value decomposition by the smaller side.
+        # Eigenvectors of the smaller Gram matrix give the singular value decomposition.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
         rank = 1
@@ -194,13 +207,13 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Entries of |w| of a range, and 1/λ at the nodes that a colour uses, of this number per octave."""
+    """Return the tabulated |w| of a range, and the 1/λ [1/µm] of the rings that contribute to one colour."""
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A reflectance relative to what colour curves hold of it, at as many Chebyshev roots of cos θd as tell it all."""
+    """Return the ratio of a material's reflectance to that in the colour curves, at Chebyshev nodes of cos θd."""
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
@@ -218,38 +231,40 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 @functools.lru_cache(maxsize=64)
 def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
-    """Projections of colour curves on the splines of this number of nodes per octave.
+    """Return the spline coefficients of the colour curves.
 
     Args:
-        rings: Rings per octave of the table.
-        illuminated: The illuminant, and the material whose reflectance at a middle angle the curves hold.
-        lines: Whether rows are densities of lines over frequency, which over (u, v) are λ⁻² of it.
+        rings: Number of rings per octave of the table.
+        illuminated: Illuminant, and the material whose reflectance at a middle angle the curves include.
+        lines: Whether rows are densities of spectral lines per unit of frequency, as in :class:`SpectrumBasis`.
 
     Returns:
-        Shape (ring_count(rings), 3); times the spectrum's values from the ring before the red end on they
-        add up to XYZ.
+        Weights of consecutive rings, shape (ring_count(rings), 3); the first ring is the one before the red end. XYZ is
+        the sum of these weights times the spectrum at the rings.
     """
     products = colour_products(illuminated)
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A spectrum without features keeps its colour to rounding.
+    # The weights are scaled so that a constant power spectrum has its exact colour, up to rounding.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
-    """S·x̄ȳz̄ at 1 nm, times what colour curves hold of a material's reflectance, shape (401, 3)."""
+    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance that they include."""
     products = colorimetry.colour_products(illuminated.illuminant)
     return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 
 
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
-    """The splines' coefficients that come closest to the colour curves, shape (ring_count(rings_per_octave), 3)."""
+    """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
-    # Nodes beyond the band see darkness there, and their splines' share of it.
+    # The fit of the colour curves extends beyond both ends of the visible range. The curves are 0 there, but the
+    # outermost splines are not.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
-    # dλ = λ d ln λ; there is darkness beyond either end.
+    # Colour curves are 0 outside of the visible range. Splines are functions of ln λ, so that dλ = λ d ln λ adds a
+    # factor λ.
     curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]
@@ -260,6 +275,6 @@ def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[
 
 
 def spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The quadratic B-spline."""
+    """Return the quadratic B-spline at distances from its centre, in units of its knot spacing."""
     away = np.abs(x)
     return np.where(away < 0.5, 0.75 - away**2, 0.5 * np.maximum(1.5 - away, 0.0) ** 2)

@@ -1,4 +1,4 @@
-"""Colour tables in polar coordinates of (u, v): construction and cache."""
+"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v), with their construction and cache."""
 
 from __future__ import annotations
 
@@ -33,23 +33,25 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# Look-ups skip rings where colours are smooth: under a light with less than this share at the frequency that every
-# second ring takes for none, and so many standard deviations from what else is in them.
+# Limits of decimation: look-ups of wide footprints skip every second ring if colours are smooth over ln λ. The Fourier
+# transform of the colour curves, relative to its value at 0, must be below the first number at the frequency that
+# aliases to 0. The second number is the smallest distance between that frequency and the band of the power spectrum, in
+# standard deviations of the look-up's Gaussian. The third number is a scale that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# Wavelengths over which the zeroth order is integrated, and entries of a material's reflectance there, by cos θd.
+# Number of wavelengths in the integral of the zeroth order, and number of cos θd at which its reflectance is tabulated.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Azimuths that a thread on the CPU takes at a time.
+# Limit: number of azimuth samples that a CPU thread processes at once.
 _AZIMUTHS_OF_SLICE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class ColourTable:
-    """Colours under an illuminant: XYZ(u, v, w) = Σ_k c_k(u, v) f_k(w), plus the zeroth order.
+    """Table of the colours under an illuminant: XYZ(u, v, w) = Σ_k c_k(u, v) f_k(w), plus the zeroth order.
 
     Attributes:
         kernels: Kernels and types for the number of functions of w.
-        layout: Grids of the levels whose rows are filled.
-        fields: Fields of the struct ``Colours`` of the kernels but for those of the layout, by name.
+        layout: Grids of the mip levels whose rows are filled.
+        fields: Values of the fields of the kernels' struct ``Colours`` by name, without those of the layout.
     """
 
     kernels: types.SimpleNamespace
@@ -58,7 +60,7 @@ class ColourTable:
 
     @forks.cached_property
     def struct(self) -> Any:
-        """The struct that the kernels read."""
+        """Struct ``Colours`` that the kernels read."""
         levels, device = self.layout.levels, self.fields["rows"].device
         result = self.kernels.Colours()
         result.first_rows = wp.array(self.layout.first_rows, dtype=wp.int32, device=device)
@@ -70,7 +72,7 @@ class ColourTable:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its arrays; of rows on the CPU, which have space for mip levels, those that are filled."""
+        """Size of the table's arrays [bytes]. On the CPU, only filled rows count, as unused space is not in memory."""
         values = [getattr(self.struct, name) for name in self.kernels.Colours.vars if name != "rows"]
         others: int = sum(value.capacity for value in values if isinstance(value, wp.array))
         rows = self.fields["rows"]
@@ -78,7 +80,7 @@ class ColourTable:
         return count * int(wp.types.type_size_in_bytes(self.kernels.row)) + others
 
     def with_mip_levels(self, **options: Any) -> ColourTable:
-        """The table with mip levels, which are blurred from its level 0 into the same rows."""
+        """Return the table with mip levels, which are blurred copies of finer levels in the same array of rows."""
         result = replace(self, layout=self.layout.with_mip_levels())
 
         def blur(level: int, octave: int, values: wp.array) -> None:
@@ -90,11 +92,11 @@ class ColourTable:
         return result
 
     def without_zeroth_order(self) -> ColourTable:
-        """The table whose look-ups exclude what the mean plane reflects."""
+        """Return a table whose look-ups exclude the zeroth order, the reflection of the mean plane."""
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
-        """Fill the rows of levels; ``compute`` writes the values of a level and one octave."""
+        """Fill rows with spline coefficients of the values that ``compute`` writes for one octave of a mip level."""
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
         for level in levels:
@@ -108,15 +110,16 @@ def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> ColourTable:  # fmt: skip
-    """The table for a plan, and for what a call has beyond it, made or found again.
+    """Return the colour table for a plan and for the directions of a call, from the cache if possible.
 
-    It has mip levels if the plan's look-ups are blurred, whatever the cached one has: results depend on plans alone.
+    The table has mip levels only if the plan requires them, even if the cached table has more. Results therefore depend
+    on the plan and not on earlier calls.
     """
     cache = TableCache.of(heightfield)
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # Other threads may make the same meanwhile, or remove it.
+    # Another thread may add or remove the same entry at any time, so that this function reads the cache only once.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -133,7 +136,7 @@ def function_count(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> int:  # fmt: skip
-    """Functions of w that colours of a plan's table share."""
+    """Return the number of functions of w that the colours of a plan's table share."""
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     return int(source.projection(plan, illuminated).w_basis.shape[1])
 
@@ -141,7 +144,7 @@ def function_count(
 def _made(
     source: SpectrumSource, plan: Plan, illuminated: IlluminatedMaterial, cache: TableCache, **options: Any
 ) -> ColourTable:
-    """A new table with level 0 alone."""
+    """Compute a new colour table with mip level 0 only."""
     projection, samples = source.projection(plan, illuminated), cache.spectra.get(source.key)
     memory.require_memory(
         1e6 * megabytes(plan) + (source.sampled_bytes if samples is None else 0.0),
@@ -155,7 +158,7 @@ def _made(
         needed.append(spectrum_sampling.adder(count))
     load([*needed, kernels.blur] if has_mip_levels(plan) else needed, device)
     if samples is None:
-        # The last one serves other illuminants and materials.
+        # The spectrum is independent of the illuminant and the material. Only one spectrum is in memory at a time.
         cache.spectra.clear()
         samples = source.sampled(**options)
         cache.spectra.put(source.key, samples)
@@ -184,17 +187,17 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of a table's struct besides its levels. Arrays of rows are allocated, but not filled yet."""
+    """Return the fields of the struct ``Colours`` without those of the layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # A source's lobes are as wide in (u, v) at all wavelengths.
+    # The lobes of a source have the same width in (u, v) at all wavelengths.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Levels come behind, if any: until then theirs is no memory on the CPU.
+    # Space for mip levels is allocated with level 0. On the CPU it requires no memory until rows are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -204,7 +207,7 @@ def _fields(
         "ring_of_one": -grid.log_radius * per_log,
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
-        # The spline there begins one ring before it.
+        # Smallest |(u, v)| of a look-up, which replaces all smaller ones. A spline also requires the ring before it.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),
@@ -219,7 +222,7 @@ def _fields(
 
 
 def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
-    """Whether colours under a light are so smooth in ln λ that every second node tells their mean; lines are not."""
+    """Whether the colour curves are so smooth in ln λ that sums over every second ring are accurate."""
     products = colour_products(illuminated)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     remainder = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)

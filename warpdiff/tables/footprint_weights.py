@@ -1,4 +1,4 @@
-"""Weights of footprint look-ups: taps over azimuth samples and rings, and the parts of a long footprint."""
+"""Weights of footprint look-ups: Gaussian taps over azimuth samples and rings, and the parts of a long footprint."""
 
 from __future__ import annotations
 
@@ -18,26 +18,29 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Look-ups blur by what remains between two levels: its variance is at most 3 · 1.2² spacings squared.
+# Number of tabulated blurs, and their largest variance [squared distances of samples]. A look-up adds the blur that its
+# mip level lacks. The variance of that blur is at most 3 · 1.2², because the blur doubles from level to level.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Blur of a spectrum under a window in a level, in distances of azimuth samples: about 1.1, and 0.9 to 2.1 in level 0.
+# Typical standard deviation of the blur that a mip level has already, in distances of azimuth samples. Level 0 has 0.9
+# to 2.1. The number is used only for spectra under a window.
 _OWN_BLUR_SPACINGS = 1.1
-# A spline's coefficients are sums of the values around them times these, which fall to 1e-6.
+# Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two nodes for which tap weights are computed.
+# Number of positions between two samples for which tap weights are tabulated.
 _TAP_POSITIONS = 64
-# Variance within one of several parts of a footprint, times their number.
+# Variance of one part of a footprint times the number of parts, relative to the variance of the footprint. If doubled,
+# parts become 1.4 times as wide, and their linearisation in polar coordinates becomes less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 
 
 @dataclass(frozen=True)
 class TapRule:
-    """Choice of the taps that stand for a Gaussian between azimuth samples or rings.
+    """Rule for the weights of taps that approximate a Gaussian over azimuth samples or rings.
 
     Attributes:
-        radius_sigmas: Standard deviations of the blur that taps reach at least.
-        weigh: Function of the samples' places from the Gaussian's middle, (n, m), and of its variance, both in
-            distances of samples, that returns their weights, (n, m).
+        radius_sigmas: Smallest extent of the taps on either side, in standard deviations of the blur.
+        weigh: Function that returns the weights of samples, shape (n, m). Its arguments are the positions of the
+            samples relative to the centre of the Gaussian, shape (n, m), and the variance, in distances of samples.
     """
 
     radius_sigmas: float
@@ -46,7 +49,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """The struct ``FootprintTaps`` of the kernels by a rule, on the device of a name."""
+    """Return the struct ``FootprintTaps`` of the kernels for a tap rule, on the device with the name ``device``."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -58,9 +61,10 @@ def footprint_taps(device: str, rule: TapRule) -> Any:
 
 @functools.cache
 def _parts(most: int) -> NDArray[np.float64]:
-    """The normal distribution as 1 … ``most`` narrower ones: their variance, places and weights, (most, 3, most).
+    """Return sums of 1 … ``most`` narrower Gaussians that approximate the standard normal distribution.
 
-    Places and weights are those of Gauss and Hermite, so that moments up to 2 count − 1 are kept.
+    The result contains the variance, positions and weights of the summands, shape (most, 3, most). Positions and
+    weights are those of Gauss-Hermite quadrature, so that a sum of n Gaussians has the exact moments up to 2n − 1.
     """
     result = np.zeros((most, 3, most))
     for count in range(1, most + 1):
@@ -73,9 +77,9 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Weights of the azimuths around a place, (variances, fractions, most), and how many of them count.
+    """Return tabulated tap weights, shape (variances, positions, most), and the number of taps for each variance.
 
-    The fraction is how far the place lies from the middle of these.
+    The position is that of the Gaussian relative to the centre of the taps, from −1/2 to 1/2 distances of samples.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
@@ -90,8 +94,9 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Weights of the spline's coefficients under a Gaussian, which is cut off where they end."""
-    # So far out that the widest does not come round, as transforms do.
+    """Return weights of spline coefficients for a Gaussian blur that is truncated at the outermost taps."""
+    # The spline is evaluated up to 16 sample distances from its centre. This interval is so wide that the periodic
+    # Fourier transform does not wrap the widest Gaussian.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
@@ -100,12 +105,13 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Weights of these coefficients that make the best of a Gaussian of the spectrum's own blur, wherever it lies.
+    """Return weights of spline coefficients by least squares, for a blur of a spectrum that is a Gaussian itself.
 
-    Its sum with the weights, a function of where it lies, is the Gaussian that is blurred as closely as can be (least
-    squares), and has its area, mean and variance.
+    The weighted sum approximates the blurred Gaussian for all of its positions, and has its exact area, mean and
+    variance.
     """
-    # Products of a coefficient and of what is wanted, integrated over where the Gaussian lies.
+    # The right-hand side of the normal equations: products of coefficients and the blurred Gaussian, integrated over
+    # the position of the Gaussian.
     inverse = _inverse_products(places.shape[1])
     weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]
@@ -117,18 +123,22 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 @functools.cache
 def _inverse_products(count: int) -> NDArray[np.float64]:
-    """The inverse of the products of two of so many coefficients, integrated over where the Gaussian lies."""
+    """Return the inverse of the normal equations' matrix for ``count`` taps.
+
+    Its entries are products of two spline coefficients, integrated over the position of the Gaussian.
+    """
     order = np.arange(float(count))
     products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)
     return np.asarray(np.linalg.inv(products), dtype=np.float64)
 
 
 def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """A Gaussian, once it has gone through filters."""
+    """Return a normalised Gaussian with the variance ``variance``, convolved with a discrete filter, at positions."""
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# The flanks of a source's lines are visible on their own, so that taps reach further.
+# Taps for spectral lines extend further than taps for a spectrum under a window, because the tails of single lines are
+# visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

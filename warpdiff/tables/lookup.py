@@ -1,4 +1,4 @@
-"""Look-up of colours by scattering vector on a device, by the integration that a plan sets."""
+"""Look-up of colours by scattering vector on a device, in colour tables or by sums over wavelengths."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of a look-up for each function of w. Derived: three channels of three by three nodes.
+# Multiply-adds per look-up and function of w. Derived: three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Number of distributions of directions under a sky that a look-up keeps. Limit: a second one serves a sky that
-# alternates with the first.
+# Limit: number of cached tables that are derived from a look-up, such as those of a sky. Two serve two alternating
+# skies.
 _MOST_DERIVED = 2
-# Number of look-ups in a slice. Limit: a slice's arrays stay in a core's cache.
+# Limit: number of look-ups in one slice, so that the arrays of a slice fit into the cache of a core.
 _LOOK_UPS_OF_SLICE = 2048
 
 
 class ColourLookup:
-    """The kernel of a plan with what it reads, made or found again.
+    """Look-up of XYZ by scattering vector: the kernels of a plan, with their tables from the cache if possible.
 
     Attributes:
-        heightfield: The height field.
-        plan: The plan.
-        device: The Warp device.
-        derived: Tables that others have made from this look-up, by keys of their own.
+        heightfield: Height field.
+        plan: Plan.
+        device: Warp device.
+        derived: Cache of tables that callers compute by this look-up, by keys that they choose.
     """
 
     def __init__(
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
         device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare what a plan computes for a range of directions, with or without the zeroth order."""
+        """Prepare the look-up for a range of directions, with or without the zeroth order."""
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
         self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
@@ -58,17 +58,17 @@ class ColourLookup:
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, *, footprints: wp.array | None = None, among: range | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Add the XYZ of scattering vectors (n,) to those in ``xyz``.
+        """Add the XYZ of scattering vectors to the array ``xyz``.
 
         Args:
-            scattering_vectors: (u, v, w).
-            to_lights: Directions to the light in the local frame.
-            gains: Their factors.
-            illuminated: The illuminant, and the material that it falls on.
-            xyz: What is added to.
-            footprints: What each pixel's filter does to (u, v), for a plan with footprints.
-            among: Which of them, from a whole run on; None is all.
-            options: Of ``launch_pipeline``, ``slice_size`` and ``progress``.
+            scattering_vectors: Scattering vectors (u, v, w), shape (n,).
+            to_lights: Directions to the light in the local frame, shape (n,).
+            gains: Geometry factors of the reflectances, shape (n,).
+            illuminated: Illuminant, and the illuminated material.
+            xyz: Array to which the XYZ are added, shape (n,).
+            footprints: Footprint of each pixel in (u, v), for a plan with footprints.
+            among: Range of the indices to evaluate, which begins at a multiple of the batch size; None is all.
+            options: Options ``slice_size`` and ``progress`` of ``launch_pipeline``.
         """
         options.setdefault("slice_size", self.slice_size)
         calls = self.kernel_calls(scattering_vectors, to_lights, gains, illuminated, xyz, footprints)
@@ -85,12 +85,12 @@ class ColourLookup:
 
     @property
     def slice_size(self) -> int:
-        """How many directions of a picture or a call go through the kernels together."""
+        """Number of directions in one slice of a launch."""
         return _LOOK_UPS_OF_SLICE if self.plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether a table excludes some directions, as those of lines do."""
+        """Whether the table excludes some directions, as tables of sources do; their wavelengths are then sampled."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     def kernel_calls(
@@ -99,7 +99,8 @@ class ColourLookup:
     ) -> list[KernelCall]:  # fmt: skip
         """Return the kernel calls of :meth:`accumulate`.
 
-        A table that excludes directions writes their gains into ``unserved_gain``, (n,) or more; None makes the array.
+        A table that excludes directions writes their gains into the array ``unserved_gain``, which has at least n
+        entries. None allocates the array.
         """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
@@ -115,7 +116,7 @@ class ColourLookup:
         self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
         unserved_gain: wp.array,
     ) -> KernelCall:  # fmt: skip
-        """Add what a table serves."""
+        """Return the kernel call that adds the colours of a table."""
         if illuminated not in self._colours:
             table = colour_table.table_for(
                 self.heightfield, self.plan, self._range, illuminated, device=self.device, threads=self._threads
@@ -128,9 +129,9 @@ class ColourLookup:
         return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
-        """Add the sums over wavelengths."""
+        """Return the kernel call that adds sums over sampled wavelengths."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # Others may have taken its place among those that are kept.
+        # This object stores its own reference to the table, because the shared cache may replace its entry.
         if self._table is None:
             self._table = coefficient_table.table_for(
                 heightfield, plan, self._range, device=device, threads=self._threads

@@ -1,4 +1,4 @@
-"""Layout of a colour table: the grids of the spectrum and of the mip levels, their blurs, and where their rows lie."""
+"""Layout of a colour table: grids of the spectrum and of the mip levels, their blurs, and the order of the rows."""
 
 from __future__ import annotations
 
@@ -17,39 +17,43 @@ if TYPE_CHECKING:
 
     from warpdiff.request.plan import Plan
 
-# Samples along an azimuth where they are furthest apart, in standard deviations of the spectrum's blur: a sum of
-# Gaussians is constant to 2 exp(−2π²/1.6²) = 9e-4 there, to 1e-13 at the octave's other end, and rings are means of
-# several samples.
+# Largest distance of spectrum samples along the radius, in standard deviations of the spectrum's blur. Derived: a sum
+# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the distance is
+# half as large and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Limit: samples from ring to ring; with fewer, a ring's spline is no integral.
+# Limit: smallest number of spectrum samples from one ring to the next. With one sample, the weighted sum is no accurate
+# integral: the error was 7e-4 instead of 2e-5 at the 99th percentile.
 _FEWEST_DIVISIONS = 2.0
-# The spectrum is flat to (1/50)²/2 = 2e-4 within this share of a standard deviation.
+# Radius of the innermost ring, in standard deviations of the spectrum's blur. Derived: within it, the spectrum deviates
+# from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Blur of a source's lines, in distances of azimuth samples: it makes them smooth splines.
+# Standard deviation of the blur of a source's spectral lines, in distances of azimuth samples. Splines represent lines
+# of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
-# Azimuth samples of a level that is blurred for footprints, per standard deviation of all its blur; the widest blur of
-# a level [rad].
+# Number of azimuth samples of a mip level per standard deviation of its total blur.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
-# Largest blur of a mip level [rad].
+# Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit: numbers of samples are integers of 64 bits, until a table is refused for its memory.
+# Limit: number of azimuth samples that 64-bit integers can represent. A table of this
+# size raises ``MemoryError`` later.
 _MOST_AZIMUTHS = 2.0**60
 
 
 @dataclass(frozen=True)
 class MipLayout:
-    """Grids of a colour table, and the order of its rows: level, octave, azimuth, ring, slowest first.
+    """Layout of a colour table: its grids, and the order of its rows (by level, then octave, azimuth and ring).
 
-    A ring of |(u, v)| has the number of the frequency at its red end, and its octave's colours reach into the next
-    octave of frequencies, whose azimuths it takes.
+    Ring i of |(u, v)| has the radius of ring i of the frequencies, times the longest visible wavelength. The colours of
+    one octave of |(u, v)| use the same octave of frequencies and the next one. The octave of |(u, v)| has as many
+    azimuth samples as that next octave of frequencies.
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
-        divisions: Samples of the spectrum from ring to ring, by octave; 0 for lines, which are gathered.
-        blurs: Blur of the spectrum itself, by octave of |(u, v)| [rad].
-        levels: Grids of |(u, v)|, level by level.
-        level_blurs: Further blur of each level and octave [rad].
-        highest: Largest frequency that is looked up [1/µm].
+        divisions: Number of spectrum samples from one ring to the next, for each octave; 0 for spectral lines.
+        blurs: Standard deviation of the spectrum's own blur in angle, for each octave of |(u, v)| [rad].
+        levels: Grid of |(u, v)| for each mip level.
+        level_blurs: Standard deviation of the additional blur of each level and octave [rad].
+        highest: Largest frequency of a look-up [1/µm].
     """
 
     spectrum: PolarGrid
@@ -61,15 +65,15 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """The layout for a plan and the largest frequency, with level 0 alone."""
+        """Return the layout for a plan and the largest frequency [1/µm], with mip level 0 only."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """The layout for a window, under which the spectrum is smooth."""
+        """Return the layout for a window, which makes the spectrum smooth."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour takes up to three rings beyond its octave, and look-ups two more.
+        # A colour uses up to three rings beyond its octave of frequencies, and the splines of a look-up two more.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -77,7 +81,7 @@ class MipLayout:
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.azimuths_per_width
         doublings = min(max(math.floor(math.log2(most / polar_grid.FEWEST_AZIMUTHS)), 0), octaves - 1)
-        # A multiple of those that are projected together.
+        # The projection processes four azimuth samples at once, so that their number is a multiple of 4.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), polar_grid.FEWEST_AZIMUTHS)
         azimuths = tuple((fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)).tolist())
         level0 = PolarGrid(rings, log_low - LOG_RED, azimuths[1:])
@@ -88,10 +92,10 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """The layout for a source, whose lines are gathered at the rings and azimuths of level 0."""
+        """Return the layout for a source. The grid of the spectrum has the azimuth samples of level 0."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # Look-ups take some rings on either side.
+        # The splines of a look-up also use neighbouring rings on both sides.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -105,12 +109,12 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """The layout with all mip levels, for footprints and for sources."""
+        """Return the layout with all mip levels, which footprints and sources require."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # An octave that is blurred enough already stays unchanged.
+            # An octave with a blur at the limit is the same in all further mip levels.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -121,13 +125,13 @@ class MipLayout:
 
     @property
     def first_rows(self) -> NDArray[np.int64]:
-        """The row of azimuth 0 of each level and octave, shape (levels, octaves)."""
+        """Index of the first row at azimuth 0 in each mip level and octave, shape (levels, octaves)."""
         first = np.cumsum([0, *self._row_counts[:-1]]) + HALF_TAPS * self.levels[0].rings
         return np.asarray(first.reshape(len(self.levels), -1))
 
     @property
     def rows(self) -> int:
-        """Number of rows, with those of azimuths that are repeated on either side of a turn."""
+        """Total number of rows, including copies of the first and last azimuth samples beyond both ends of a circle."""
         return sum(self._row_counts)
 
     @property
@@ -136,12 +140,15 @@ class MipLayout:
 
     @property
     def samples(self) -> int:
-        """Samples of the spectrum that fill its grid."""
+        """Number of spectrum samples from which the grid of frequencies is computed."""
         grid = self.spectrum
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """The widest level that another can be made from: what it lacks of the blur spans its azimuths."""
+        """Return the most blurred finer mip level from which one octave of ``level`` can be computed by a blur.
+
+        The standard deviation of the blur must be at least the distance of azimuth samples in the finer level.
+        """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
         lacking = [width**2 - blurs[octave] ** 2 for blurs in self.level_blurs[:level]]
@@ -149,16 +156,16 @@ class MipLayout:
 
 
 def has_mip_levels(plan: Plan) -> bool:
-    """Whether look-ups in a plan's table are blurred."""
+    """Whether the table of a plan has mip levels, because its look-ups are blurred."""
     return plan.uses_footprints or plan.coherence.kind == "source"
 
 
 def megabytes(plan: Plan) -> float:
-    """Size of a plan's table; a plan without a number of functions of w has about as many as terms."""
+    """Return the size of a plan's table [MB]; an unknown number of functions of w is estimated by that of the terms."""
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 
 
 def layout_of(plan: Plan) -> MipLayout:
-    """The layout of a plan's table, with its mip levels if it has any."""
+    """Return the layout of a plan's table, with mip levels if the plan requires them."""
     layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.covering(plan.direction_range).frequency)
     return layout.with_mip_levels() if has_mip_levels(plan) else layout

@@ -1,4 +1,4 @@
-"""Sources of colour tables: the spectrum under a window, sampled, or the lines of an endless surface, gathered."""
+"""Power spectra from which colour tables are computed: a sampled spectrum under a window, or spectral lines."""
 
 from __future__ import annotations
 
@@ -34,27 +34,30 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# |κ| of the basis from this share of the largest on: all coefficients but the zeroth order vanish below.
+# Smallest |κ| of the basis, relative to the largest one. At smaller |κ|, only the zeroth order has power.
 _SMALLEST_KAPPA = 1e-3
-# Share of the tolerance that functions of w may omit at most. Cardinal polynomials sum to less than each of them.
+# Limits on the truncation error of the functions of w, as shares of the tolerance: for terms of powers, and for
+# cardinal polynomials in |κ|. Sums of cardinal polynomials may be smaller than each polynomial, so that their limit is
+# stricter.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# Coefficients that tell how much each term matters, and the least that it matters, relative to the largest.
+# Number of coefficients from which the size of each term is estimated, and the smallest size of a term relative to the
+# largest one.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
-# Entries of the zeroth order over |κ|.
+# Number of |κ| at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
-# Memory per line while lines are listed, as counted [bytes].
+# Peak memory while spectral lines are listed [bytes per line], counted from the code.
 _BYTES_PER_LINE = 80.0
-# Standard deviations of a line's blur in angle at which it ends.
+# Distance in angle at which the Gaussian blur of a line is truncated, in standard deviations.
 _LINE_RADIUS_SIGMAS = 4.5
 
 
 @dataclass(frozen=True)
 class SpectrumKey:
-    """Key of the source of a colour table: all that it depends on besides the heights.
+    """Cache key of the spectrum of a colour table: everything on which it depends except the heights.
 
     Attributes:
         device: Name of the device.
-        coefficient_range: The range of its coefficients. All others are numbers of the plan.
+        coefficient_range: Range of frequencies and κ of the coefficients. All other attributes are those of the plan.
     """
 
     device: str
@@ -71,18 +74,18 @@ class SpectrumKey:
 
 @dataclass(frozen=True, eq=False)
 class SpectrumSource(ABC):
-    """The power spectrum from which a colour table is projected: what is known before any of it is sampled.
+    """Description of the power spectrum from which a colour table is projected, without its samples.
 
     Attributes:
-        key: What the source depends on.
-        layout: Grids of the table, with level 0 alone.
-        table: Coefficients on the device.
-        basis: Terms that rows of the spectrum consist of.
-        at_kappas: For amplitudes, the basis at the |κ| at which rows hold powers, (length of a row, lanes); zeros for
-            powers.
-        zeroth: The zeroth order, which rows exclude unless it is empty.
-        phase: Largest rate at which powers turn with ln λ [rad].
-        projections: Projections that were made, by illuminant and material.
+        key: Cache key of the spectrum.
+        layout: Grids of the table, with mip level 0 only.
+        table: Table of coefficients on the device.
+        basis: Basis functions in which the rows of the spectrum are expanded.
+        at_kappas: For amplitudes, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes). The
+            powers at these |κ| form a row of the spectrum. Zeros for powers.
+        zeroth: Zeroth order, which rows exclude unless its power is empty.
+        phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
+        projections: Projections that were computed already, by illuminant and material.
     """
 
     has_lines: ClassVar[bool]
@@ -99,43 +102,44 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """The kernels that :meth:`sampled` and :meth:`projector` launch."""
+        """Return the kernels that :meth:`sampled` and :meth:`projector` launch."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
-        """Sample the spectrum, for any illuminant and material."""
+        """Sample the spectrum, independently of the illuminant and the material."""
 
     @abstractmethod
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects samples to level 0.
+        """Return a function that projects spectrum samples to level 0 of a colour table.
 
         Args:
-            samples: What :meth:`sampled` returned.
-            curves: What rings count for X, Y and Z.
-            options: Options of ``launch``, among them the device.
+            samples: Result of :meth:`sampled`.
+            curves: Weights of the rings in X, Y and Z, on the device.
+            options: Options of ``launch``, which include the device.
 
         Returns:
-            Function of one octave, of a matrix of :attr:`Projection.matrices` on the device, and of the octave's rows.
+            Function with three arguments: index of the octave, one of :attr:`Projection.matrices` on the device, and
+            array for the rows of the octave, to which the function writes.
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
-        """The projection for an illuminant and a material, made or found again."""
+        """Return the projection for an illuminant and a material, from the cache if possible."""
         if illuminated not in self.projections:
             self.projections[illuminated] = make_projection(plan, self.basis, illuminated, self.layout)
         return self.projections[illuminated]
 
     @property
     def sampled_bytes(self) -> float:
-        """Bytes of the samples; lines are gathered octave by octave."""
+        """Size of the spectrum samples [bytes]; 0 for lines, which are processed octave by octave."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Kernels and types of the projection to a number of functions of w."""
+        """Return the kernels and types that project rows of the spectrum to a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
 class WindowedSpectrum(SpectrumSource):
-    """Spectrum under a window, averaged or centred, sampled on the grid of frequencies."""
+    """Power spectrum under an averaged or centred window, sampled on a polar grid of frequencies."""
 
     has_lines, tap_rule = False, SPECTRUM_TAPS
 
@@ -145,11 +149,14 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """The kernel that samples along azimuths, and the one that joins octaves of samples and projects them."""
+        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of samples."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
-        """Rows of the spectrum by octave, azimuth and ring; the first one and the number of azimuths of each octave."""
+        """Return the sampled rows of the power spectrum by octave, azimuth and ring.
+
+        The result also contains, for each octave, the index of its first row and its number of azimuth samples.
+        """
         grid, sampler, arguments, device = self.layout.spectrum, self._sampler, self.table.arguments, options["device"]
         excluded = arguments.origin_y * arguments.count_x + arguments.origin_x if len(self.zeroth.power) else -1
         bases = wp.array(np.ascontiguousarray(self.at_kappas.T), dtype=sampler.row, device=device)
@@ -162,10 +169,10 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Project one octave of samples with the next one."""
+        """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Space for each azimuth, of which a slice on the CPU only takes that of its first ones: the rest is no memory
-        # yet.
+        # Scratch space of each azimuth sample for its rings of both octaves. On the CPU, a slice writes only to the
+        # space of its first azimuth samples, and the rest is never in memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -178,12 +185,12 @@ class WindowedSpectrum(SpectrumSource):
 
 
 class Lines(NamedTuple):
-    """Lines of a spectrum but for the zeroth order, in the order of their angles.
+    """Spectral lines except the zeroth order, sorted by angle; each line is one Fourier coefficient.
 
     Attributes:
-        rows: Rows of their coefficients in the table.
-        angles: Angles of their frequencies, 0 to 2π.
-        log_frequencies: ln |q|, |q| in 1/µm.
+        rows: Index of each line's row in the table of coefficients.
+        angles: Angle of each frequency vector q, from 0 to 2π [rad].
+        log_frequencies: Natural logarithm of each |q|, with |q| in 1/µm.
     """
 
     rows: NDArray[np.int32]
@@ -191,12 +198,13 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Nodes of a table that a line of a source is added to. Derived: 7 azimuths and 3 rings, on both sides of each.
+# Number of table entries to which each spectral line is added, in the cost model. Derived: 2 × 7 azimuth samples times
+# 3 rings.
 NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Spectrum of an endless surface under a source: one line at the frequency of each coefficient."""
+    """Power spectrum of an infinite surface under a source: one line at the frequency of each coefficient."""
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -205,11 +213,11 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """The kernel that gathers lines on azimuths, and the one that projects these."""
+        """Return the kernel that adds lines to azimuth samples, and the kernel that projects the sums."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
-        """The lines up to the largest frequency; they are gathered octave by octave."""
+        """Return the lines up to the largest frequency; the projector later adds them to the grid."""
         arguments, highest = self.table.arguments, self.layout.highest
         lengths = arguments.length_y, arguments.length_x
         most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
@@ -221,7 +229,7 @@ class LineSpectrum(SpectrumSource):
         qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
         squared = qy**2 + qx**2
         inside = (squared <= highest**2) & (squared > 0.0)
-        # Beyond the pitch's limit they repeat.
+        # Beyond the Nyquist frequency of the pitch, coefficients repeat periodically.
         rows = (s + arguments.origin_y) % arguments.count_y
         columns = (r + arguments.origin_x) % arguments.count_x
         coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
@@ -230,7 +238,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Gather the lines of one octave, and of what a colour takes beyond it, and project them."""
+        """Return a function that adds the lines of one octave and of the next rings to the grid, and projects them."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -241,7 +249,7 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # A turn, and what of it reaches beyond its ends.
+            # Lines near the angles 0 and 2π are repeated beyond the other end, because their blur extends there.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
@@ -265,14 +273,14 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """The kind of spectrum under a coherence."""
+    """Return the class of spectra for a coherence."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
 def source_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> SpectrumSource:
-    """The source of a plan's table, and of what a call has beyond the plan's range, made or found again."""
+    """Return the spectrum for a plan and for the directions of a call, from the cache if possible."""
     coefficient_range = CoefficientRange.covering(plan.direction_range.joined(direction_range))
     key = SpectrumKey(
         device.alias, coefficient_range, plan.method, plan.coherence, plan.terms, plan.least_weight,
@@ -288,7 +296,7 @@ def source_for(
 
 
 def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) -> SpectrumSource:
-    """A new source."""
+    """Compute the description of a power spectrum, without its samples."""
     coefficients, at, coherence = table.coefficients, table.arguments, plan.coherence
     count = min(plan.terms, coefficients.terms)
     lanes = lanes_of(count)
@@ -306,9 +314,9 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         power = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
-        # The amplitude of the zeroth order cannot be separated from others.
+        # Where amplitudes add, the zeroth order interferes with other orders and has no separate power.
         power = np.zeros(0, dtype=np.float32)
-        # As many nodes as a power's oscillations require.
+        # The number of Chebyshev nodes follows from the oscillations of a power over the range of κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
@@ -325,7 +333,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """How much each term matters, relative to rows (my, mx, terms)."""
+    """Return the root mean square of each term relative to the norm of its row; ``rows`` has (my, mx, terms)."""
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""Cache of the tables of one height field, while it lives: the last ones that were asked for.
+"""Cache of the most recently used tables of each height field; deleted together with the height field.
 
-Moving lights and views ask for the same tables again, and a search for tables of a few sizes. Keys are values, frozen
-dataclasses of all that a table depends on besides the heights.
+Pictures with moving lights or cameras reuse the same tables. A search for a plan reuses tables of a few sizes. Keys are
+frozen dataclasses of everything on which a table depends, except the heights.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Limits: number of sets of coefficients, of their copies on devices and of sources; bytes of all colour tables, some
-# for other lights and views, or a search's last attempts.
+# Limits per height field: number of cached entries of each kind except colour tables, and total size of the cached
+# colour tables [bytes]. Memory is proportional to these limits.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 
 
 class TableCache:
-    """Tables of one height field.
+    """Cached tables of one height field.
 
     Attributes:
         coefficients: Coefficients on the host.
-        fitted_to: The series that the last basis was fitted to, until another series is asked for.
+        fitted_to: Series to which the last basis was fitted; deleted when a caller requests another series.
         rows: Rows and basis of coefficients on devices.
-        sources: Sources of colour tables, before their spectra are sampled.
-        spectra: Samples of the last spectrum, which serves other illuminants and materials.
-        colours: Colour tables; no two of them share an array, so that the cache counts each array once.
+        sources: Descriptions of the power spectra for colour tables, without samples.
+        spectra: Samples of the last spectrum, from which tables for other illuminants and materials can be computed.
+        colours: Colour tables. No two of them share an array, so that their sizes add up to the memory in use.
     """
 
     def __init__(self) -> None:
@@ -47,5 +47,5 @@ class TableCache:
 
     @classmethod
     def of(cls, heightfield: HeightField) -> TableCache:
-        """The cache of a height field."""
+        """Return the cache of a height field."""
         return _caches.setdefault(heightfield, cls())

@@ -1,6 +1,6 @@
-"""Zeroth order of a height field: the reflection of its mean plane, which tables hold apart from all other orders.
+"""Zeroth order of a height field: the reflection of its mean plane, which colour tables store separately.
 
-Its lobe is narrower than the distance of a table's nodes, and has a closed form.
+The lobe of the zeroth order is narrower than the spacing of a table's rings, but it has a closed form.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit: steps of the height; phases have an error of 1e-4.
+# Limit: number of height levels in the histogram from which the zeroth order is computed. With this number, phases have
+# an error of 1e-4 rad.
 _HEIGHTS = 65_536
 
 
 @dataclass(frozen=True, eq=False)
 class ZerothOrder:
-    """Power of the zeroth order over |κ|, and the lobe that a coherence makes of it.
+    """Power of the zeroth order as a function of |κ|, and the width of its lobe.
 
     Attributes:
-        power: |H₀₀|² at equal steps of |κ|, linear in between, shape (entries,), float32. It is empty for amplitudes,
-            of which that of the mean plane cannot be separated.
+        power: |H₀₀|² at equally spaced |κ|, for linear interpolation, shape (entries,), float32. The array is empty
+            where amplitudes add, because the zeroth order then interferes with the others.
         least_kappa: |κ| of the first entry [1/µm].
         largest_kappa: |κ| of the last entry [1/µm].
-        coherence: Coherence that limits the lobe.
+        coherence: Coherence that determines the width of the lobe.
     """
 
     power: NDArray[np.float32]
@@ -42,7 +43,7 @@ class ZerothOrder:
     def of_heights(
         cls, heightfield: HeightField, coherence: Coherence, kappas: tuple[float, float], entries: int
     ) -> ZerothOrder:
-        """The zeroth order over a range of |κ|, from how often heights occur."""
+        """Return the zeroth order over a range of |κ|, computed from the histogram of the heights."""
         import scipy.signal
 
         heights = heightfield.heights_um - heightfield.heights_um.min()
@@ -55,19 +56,19 @@ class ZerothOrder:
         return cls(np.asarray(np.abs(means) ** 2, dtype=np.float32), *kappas, coherence)
 
     def at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The power at some |κ| of the range, in the peak of the lobe, shape (n,)."""
+        """Return the power at the peak of the lobe for |κ| within the range, shape (n,)."""
         shares = (kappas - self.least_kappa) / (self.largest_kappa - self.least_kappa)
         return between_entries(self.power[:, None], shares)[:, 0]
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Variance of the lobe in (u, v) along each axis, at a wavelength [µm]; of a source, under light from above."""
+        """Return the variance of the lobe along u or v at a wavelength [µm]; for a source, at normal incidence."""
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
         return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)
 
 
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows between entries (n, m) at equal steps, at shares of the whole range from 0 to 1, linear."""
+    """Interpolate linearly between equally spaced rows, shape (n, m), at positions from 0 (first row) to 1 (last)."""
     at = shares * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)
     t = (at - first)[:, None]
