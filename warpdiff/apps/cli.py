@@ -1,6 +1,6 @@
 """The command line: ``demo``, ``render``, ``sequence``, ``brdf``, ``export-html``, ``info``, ``view`` and ``cache``.
 
-Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
+Exit codes: 0 success, 1 failure, 2 bad input, 129 SIGHUP, 130 SIGINT (Ctrl+C), 143 SIGTERM.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Errors of the file system that concern a path of the user; a full disk is a failure.
+# File errors that count as bad input (exit code 2). Other file errors, such as a full disk, are failures (exit code 1).
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = (
-    "scan, or a synthetic height field: an image (8 or 16 bit grey, or float), .npy or .npz; or one of "
-    f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings as in fingers:size_um=25.6,seed=3, where "
-    "pairs are 2.0x1.0"
+    "file of a scan (an image of 8 or 16 bit grey or float, .npy or .npz), or a synthetic height field: one of "
+    f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings, for example fingers:size_um=25.6,seed=3; "
+    "pairs are written as 2.0x1.0"
 )
 _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
-    "warpdiff.meshes as in snake:tangent=along"
+    "warpdiff.meshes, for example snake:tangent=along"
 )
-# The command line's words for arguments that no flag is made from.
+# Names on the command line of the Python arguments that have no generated flag. Error messages print these names.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
@@ -45,7 +45,11 @@ _WORDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line and return the exit code.
+
+    Args:
+        arguments: Arguments without the program's name; None is ``sys.argv[1:]``.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     options, unknown = _parser(arguments).parse_known_args(arguments)
 
@@ -68,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             say(": ", "interrupted")
             return 130
         except BrokenPipeError:
-            # The reader of the output has closed it.
+            # The program that reads the output, such as ``head``, has closed the pipe.
             return 1
         except Exception as error:
             if options.debug:
@@ -80,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser of the command line; only the named command gets flags, which are imported."""
+    """Return the parser of the command line. Only the command in ``arguments`` gets its flags, for a fast start."""
     parser = _Parser(
         prog="warpdiff",
         description="Iridescent colours of diffraction gratings given as measured height fields.",
@@ -108,7 +112,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Report an error in one line, without the usage."""
+    """Argument parser that prints an error as one line, without the usage text."""
 
     def error(self, message: str) -> NoReturn:
         text = message.removeprefix("argument ").replace(": must ", " must ", 1)
@@ -116,7 +120,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Print the version, which takes long to find."""
+    """Action of ``--version``. The version is computed only when it is printed, because the computation is slow."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         print(f"warpdiff {wd.__version__}")
@@ -141,12 +145,12 @@ def _add_render(flags: Flags) -> None:
 
 
 def _add_environment(flags: Flags) -> Any:
-    """Add the flags of an environment, and return their group."""
+    """Add the flags of an environment light, and return their group in the help."""
     group = flags.group("environment")
     group.add_argument(
         "--environment", metavar="SKY",
-        help="sky or room: an EXR or HDR file in latitude and longitude, linear sRGB, or clear-sky, with parameters of "
-        "warpdiff.Environment.clear_sky as in clear-sky:sun_direction=1x1x0.5,ground_albedo=0.1",
+        help="environment light: an EXR or HDR file in latitude and longitude, linear sRGB, or clear-sky, with "
+        "parameters of warpdiff.Environment.clear_sky, for example clear-sky:sun_direction=1x1x0.5,ground_albedo=0.1",
     )  # fmt: skip
     loading = describe(wd.Environment.load)
     flags.add(group, loading, only=loading.keys() - {"path"}, prefix="environment-")
@@ -159,7 +163,7 @@ def _add_sequence(flags: Flags) -> None:
     group = flags.group("frames")
     group.add_argument(
         "-o", "--output", required=True, metavar="FOLDER",
-        help="folder of the frames; frames of the same sequence that exist are kept",
+        help="folder of the frames; existing frames of the same sequence are not rendered again",
     )  # fmt: skip
     group.add_argument("--count", type=integer, help="number of frames (default: 36, or the rows of --path)")
     kind = group.add_mutually_exclusive_group()
@@ -236,7 +240,7 @@ def _add_cache(flags: Flags) -> None:
 
 
 def _add_picture(flags: Flags, settings: type) -> None:
-    """Add the flags of pictures: mesh, height field, evaluation, lights and camera, and how files are saved."""
+    """Add the flags of pictures: mesh, height field, evaluation, lights, camera and picture file."""
     flags.parser.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
     _add_height_field(flags)
     _add_evaluation(flags, settings)
@@ -315,9 +319,14 @@ def _add_output(flags: Flags) -> None:
 
 
 class _Command(NamedTuple):
-    """A command: its description, an example, and the functions that add its flags and run it.
+    """Command of the command line.
 
-    ``words`` are the command line's words for arguments that no flag is made from.
+    Attributes:
+        what: One-line description in the help.
+        example: Examples in the help.
+        add_flags: Function that adds the command's flags to its parser.
+        run: Function that runs the command.
+        words: Names on the command line of the Python arguments that have no generated flag.
     """
 
     what: str
