@@ -256,7 +256,7 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
             f"{ref('folder')}: {folder} holds frames of another sequence, with other arguments: name another folder, "
             f"or give {ref('overwrite', True)}"
         )
-    # The manifest is deleted before the frames, so that old frames cannot be mistaken for new ones after an interruption.
+    # The manifest is deleted before the frames. After an interruption, old frames cannot be mistaken for new ones.
     path.unlink(missing_ok=True)
     for frame in folder.glob("frame_*"):
         if frame.suffix in FORMATS:
