@@ -2,7 +2,8 @@
 Compare with the direct sum
 ===========================
 
-Colours of the fast method against the float64 sum without a series, over view angles.
+Luminance by the default method and by the direct sum in float64, which uses no series, as functions of the
+view angle.
 """
 
 import matplotlib.pyplot as plt

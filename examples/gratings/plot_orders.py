@@ -2,7 +2,7 @@
 Efficiencies of orders
 ======================
 
-Share of the incident power in each order of a blazed grating of gold, by wavelength.
+Fraction of the incident power in each order of a blazed gold grating, as a function of the wavelength.
 """
 
 import matplotlib.pyplot as plt

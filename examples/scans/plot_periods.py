@@ -2,7 +2,8 @@
 Periods of a surface
 ====================
 
-Find the periods of a height field with their standard errors, and where they send green light.
+Find the periods of a height field with their standard errors, and compute the angles at which they diffract
+green light.
 """
 
 import math

@@ -75,7 +75,7 @@ class Option:
         return validation.range_text(self.gt, self.ge, self.le)
 
     def check(self, value: object) -> Any:
-        """Return a value converted to the type of this option; raise an error that names the option otherwise."""
+        """Return a value converted to the type of this option; raise an error that names the option if it is wrong."""
         if value is None and self.optional:
             return None
         return getattr(self, f"_check_{self.kind}")(value)
@@ -178,7 +178,7 @@ def _choices_of(literal: Any) -> tuple[str | int, ...]:
 
 
 class _Anything(type):
-    """Give a class every attribute, so that it replaces a module that only type checkers import."""
+    """Metaclass of a class that has every attribute. Such a class replaces modules that only type checkers import."""
 
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("_"):
@@ -187,11 +187,11 @@ class _Anything(type):
 
 
 class _Pair:
-    """Placeholder for ``float | tuple[float, float]``."""
+    """Placeholder for the annotation ``float | tuple[float, float]``."""
 
 
 class _Unknown(metaclass=_Anything):
-    """Placeholder for a type that only type checkers import."""
+    """Placeholder for a type that only type checkers import, and for its attributes and subscripts."""
 
     def __class_getitem__(cls, _: object) -> type[_Unknown]:
         return cls
@@ -215,7 +215,7 @@ _SECTION = re.compile(r"^( *)(?:Args|Attributes):\n((?:\1 {4}.*\n|\s*\n)*)", re.
 
 
 def documented(owner: type | Callable[..., object]) -> dict[str, str]:
-    """Return the entries of the ``Args:`` and ``Attributes:`` sections of a docstring, by name, each in one line."""
+    """Return the entries of the ``Args:`` and ``Attributes:`` sections of a docstring as one-line texts, by name."""
     texts: dict[str, str] = {}
     for base in reversed(owner.__mro__ if isinstance(owner, type) else (owner,)):
         for section in _SECTION.finditer(inspect.cleandoc(base.__doc__ or "") + "\n"):
@@ -249,7 +249,10 @@ def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
 
 
 class Checked:
-    """Base of frozen dataclasses that check every field by its description; a class adds rules for several fields."""
+    """Base class of frozen dataclasses that check each field by its description.
+
+    A subclass may add rules that concern several fields.
+    """
 
     def __post_init__(self) -> None:
         owner: Callable[..., object] = type(self)

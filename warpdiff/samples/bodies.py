@@ -106,8 +106,9 @@ def tube(
     phi[-1] = phi[0]  # both vertices at the seam have exactly the same position
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
-    # n ∝ ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse, is finite at the tips. The factor
-    # `stretch` is the length of the surface relative to the centre line, which is less than 1 inside a bend.
+    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse. This form
+    # is finite at the tips. The factor `stretch` is the length of the surface divided by that of the centre line, which
+    # is less than 1 on the inner side of a bend.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -192,7 +193,7 @@ def disc(
 def _meander(
     s: NDArray[np.float64], bend: float, frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points (k, 3), headings (k,) and curvatures (k,) of the centre line of a tube at the arc lengths ``s``."""
+    """Return points (k, 3), headings (k,) [rad] and curvatures (k,) of a tube's centre line at arc lengths ``s``."""
     # The curve is integrated by the midpoint rule with steps much finer than the rings.
     parts = 16
     step = np.diff(s)[:, None] / parts
@@ -205,9 +206,9 @@ def _meander(
 
 
 def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Return two triangles per cell of a grid of vertices whose (column, row) axes are right-handed.
+    """Return two triangles per quadrilateral of a grid of vertices. The axes (column, row) are right-handed.
 
-    The diagonals alternate from cell to cell, so that sums over the faces of a vertex are not biased to one side.
+    The diagonals alternate between quadrilaterals, so that means over the faces of a vertex are not biased to one side.
     """
     row, column = np.indices((rows - 1, columns - 1))
     is_even = np.repeat((row + column) % 2 == 0, 2)[:, None]
