@@ -16,7 +16,7 @@ orders = wd.order_efficiencies(grating, (0.2, 0, 1), wavelengths_nm, material=go
 for m in range(-3, 3):
     plt.plot(wavelengths_nm, orders[0, m], label=f"order {m}")
 plt.xlabel("wavelength [nm]")
-plt.ylabel("share of the incident power")
+plt.ylabel("fraction of the incident power")
 plt.legend()
 plt.savefig("orders.png", dpi=100)
 plt.close()

@@ -141,7 +141,7 @@ def _add_render(flags: Flags) -> None:
     _add_picture(flags, SinglePictureSettings)
     _add_output(flags)
     group = _add_environment(flags)
-    group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
+    group.add_argument("--environment-behind", action="store_true", help="show the environment as background of a PNG")
 
 
 def _add_environment(flags: Flags) -> Any:
@@ -175,10 +175,10 @@ def _add_sequence(flags: Flags) -> None:
     kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
     at_rest = group.add_mutually_exclusive_group()
     at_rest.add_argument(
-        "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
+        "--lights-stay", action="store_true", help="the camera moves around the body; otherwise the body rotates"
     )
     at_rest.add_argument(
-        "--lights-turn", action="store_true", help="the lights turn around the body, by --turns; otherwise it turns"
+        "--lights-turn", action="store_true", help="the lights rotate around the body; otherwise the body rotates"
     )
     flags.add(group, describe(wd.sequence), only=("formats", "animation", "frames_per_second", "overwrite"))
     group.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers render")
@@ -222,7 +222,7 @@ def _add_view(flags: Flags) -> None:
     _add_height_field(flags, several=True)
     view.add_argument(
         "--environment", nargs="+", action="extend", default=[], metavar="FILE",
-        help="skies or rooms that the page offers as lights, EXR or HDR in latitude and longitude, linear sRGB",
+        help="environment lights that the page offers: EXR or HDR in latitude and longitude, linear sRGB",
     )  # fmt: skip
     view.add_argument("--port", type=integer, default=0, help="port of the server (default: pick a free port)")
     view.add_argument(
@@ -235,7 +235,7 @@ def _add_view(flags: Flags) -> None:
 
 def _add_cache(flags: Flags) -> None:
     less = flags.parser.add_mutually_exclusive_group()
-    less.add_argument("--trim-mib", type=number, metavar="MIB", help="keep at most this size, the last used files")
+    less.add_argument("--trim-mib", type=number, metavar="MIB", help="limit the size; the last used files stay")
     less.add_argument("--clear", action="store_true", help="delete all files")
 
 
@@ -260,7 +260,7 @@ def _add_height_field(flags: Flags, *, default: str | None = None, several: bool
         "--level", type=integer, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)"
     )
     group.add_argument("--despike", action="store_true", help="remove dust")
-    group.add_argument("--fill", action="store_true", help="fill missing samples from those around them")
+    group.add_argument("--fill", action="store_true", help="interpolate missing samples")
     group.add_argument("--crop-um", type=number, metavar="SIZE", help="keep a square of this size from the middle")
     group.add_argument("--periodic", action="store_true", help="make opposite edges match")
 
@@ -299,9 +299,9 @@ def _add_scene(flags: Flags) -> None:
     group = flags.group("lights")
     group.add_argument(
         "--light", nargs="+", action="append", metavar="LIGHT",
-        help="a light: X Y Z, the direction towards it, or KIND:name=value,… of warpdiff's lights, as in "
+        help="light: the direction towards it, X Y Z, or one of warpdiff's lights, KIND:name=value,…, for example "
         "directional:to_light=0x1x1,angular_diameter_deg=3 or point:position=0x2x1,power=4; may be repeated (default: "
-        "directional, from behind the camera's shoulder)",
+        "a directional light from above and to the right of the camera)",
     )  # fmt: skip
     group = flags.group("camera")
     flags.add(group, describe(wd.View), defaults={"eye": None, "target": None})
@@ -338,7 +338,7 @@ class _Command(NamedTuple):
 
 _COMMANDS = {
     "demo": _Command(
-        "render a set of pictures and say where they are",
+        "render a set of demonstration pictures",
         "warpdiff demo --output pictures",
         _add_demo, cli_commands.demo, {"scale": "--scale", "output": "--output"},
     ),
@@ -349,7 +349,7 @@ _COMMANDS = {
         _add_render, cli_commands.render,
     ),
     "sequence": _Command(
-        "render frames: a body that turns, or under lights that move, or along a camera's path",
+        "render the frames of a sequence: a rotating body, moving lights, or a camera path",
         "warpdiff sequence snake --heightfield fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn \\\n"
         "      --animation turn.webp\n"
         "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
@@ -361,7 +361,7 @@ _COMMANDS = {
         },
     ),
     "brdf": _Command(
-        "map the reflectance over all view directions, seen from above",
+        "save a map of the reflectance over all view directions",
         "warpdiff brdf --heightfield blazed:period_um=2.5,depth_um=0.25 --incidence-deg 20 -o blazed.png",
         _add_brdf, cli_commands.brdf, _WORDS | {"to_light": "--incidence-deg"},
     ),
@@ -373,12 +373,12 @@ _COMMANDS = {
         _add_export_html, cli_commands.export_html, _WORDS | {"path": "OUT"},
     ),
     "info": _Command(
-        "describe a height field, and what an evaluation of it would compute",
+        "print a summary of a height field and the plan of its evaluation",
         "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
         _add_info, cli_commands.info,
     ),
     "view": _Command(
-        "turn body, light and surface by hand, on a page in the browser",
+        "start the interactive viewer, a page in the browser",
         "warpdiff view\n"
         "  warpdiff view snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 --periodic",
         _add_view, cli_commands.view,

@@ -141,8 +141,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                 snake(scan, half_snake), 1.0,
             ),
             DemoPicture(
-                "snake_elaphe_across", "the same with its fingers across the body", snake(scan, half_snake, "along"),
-                0.4,
+                "snake_elaphe_across", "the scan of Elaphe guttata on the snake, its fingers across the body",
+                snake(scan, half_snake, "along"), 0.4,
             ),
             DemoPicture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
         ]  # fmt: skip

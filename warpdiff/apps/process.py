@@ -42,7 +42,7 @@ class Interruption:
         self._returned = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
-        # Functions registered with atexit run in reverse order. This one is registered first and runs last.
+        # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
         atexit.register(self._ignore)
         # Other packages, such as compilers, put their temporary files into this folder, which is deleted with the
         # process. Child processes inherit the folder.
@@ -63,7 +63,7 @@ class Interruption:
         Args:
             code: Exit code of the command. It becomes 1 if standard output cannot be written.
         """
-        # After this assignment the handler ends the process at once.
+        # From this assignment on, the signal handler ends the process at once.
         self._returned = True
         is_complete = flush_streams()
         if self._code is not None:
@@ -118,8 +118,8 @@ def prepare_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            # Otherwise the next opened file, such as a picture, would get this file descriptor, and messages would be
-            # written into that file.
+            # The null device occupies the file descriptor of the closed stream. Otherwise the next opened file, such as
+            # a picture, would get this descriptor, and messages would be written into that file.
             os.open(os.devnull, os.O_RDWR)
         if number and getattr(sys, name) is None:
             setattr(sys, name, open(number, "w", closefd=False))  # noqa: SIM115 (the stream is never closed)
@@ -138,6 +138,6 @@ def flush_streams() -> bool:
             is_complete = stream is not sys.stdout
             if not is_complete and not isinstance(error, BrokenPipeError):
                 os.write(2, f"warpdiff: standard output: {error.strerror}\n".encode())
-            # Python flushes again at its end. Its second error message is avoided by the null device.
+            # Python flushes the streams again when it ends. Writing to the null device prevents a second error message.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     return is_complete

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MOST_BYTES = 2**30
 # Shortest computation whose arrays are written to a file [s]. Limit: faster computations are repeated in each process.
 _LEAST_SECONDS = 0.25
-# Size of a SHA-256 [bytes].
+# Size of a SHA-256 checksum [bytes].
 _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
@@ -44,8 +44,8 @@ class Entry(NamedTuple):
     """File of the cache.
 
     Attributes:
-        used: Time of its last use [s since 1970].
-        size: Size [bytes].
+        used: Time of the file's last use [s since 1970].
+        size: Size of the file [bytes].
         path: Path of the file.
     """
 
@@ -91,7 +91,7 @@ def _code_digest(*folders: Path) -> str:
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Some editors mark an open file by a link whose target does not exist.
+        # Symbolic links without a target are skipped. Some editors mark an open file by such a link.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -105,7 +105,7 @@ def cache_folder() -> Path | None:
     try:
         return _user_folder()
     except RuntimeError:
-        # The user has no home folder.
+        # pathlib raises this error if the user has no home folder.
         return None
 
 

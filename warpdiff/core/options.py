@@ -36,17 +36,17 @@ class Option:
     """One option: its name, type, range, unit, default and meaning.
 
     Attributes:
-        name: The name in Python.
-        kind: The type. ``"choices"`` is a tuple of choices, ``"pair"`` is one number or a pair (y, x), ``"numbers"``
-            and ``"integers"`` are tuples of ``length`` elements, ``"object"`` is anything else.
-        default: The default value; ``REQUIRED`` if there is none.
-        help: The meaning, in plain text.
-        choices: The values of a ``"choice"``, without American spellings.
-        length: The length of a tuple; 0 for other kinds.
+        name: Name of the option in Python.
+        kind: Type of the option. ``"choices"`` is a tuple of choices, ``"pair"`` is one number or a pair (y, x),
+            ``"numbers"`` and ``"integers"`` are tuples of ``length`` elements, ``"object"`` is anything else.
+        default: Default value; ``REQUIRED`` if there is none.
+        help: Meaning of the option, in plain text.
+        choices: Accepted values of a ``"choice"``, without American spellings.
+        length: Number of elements of a tuple; 0 for other kinds.
         gt: Exclusive lower bound, or None.
         ge: Inclusive lower bound, or None.
         le: Inclusive upper bound, or None.
-        unit: The unit; empty if it has none.
+        unit: Unit of the value; empty if it has none.
         optional: Whether None is accepted.
         instance_of: Class of the package that an ``"object"`` must be an instance of; None accepts any object.
     """
@@ -66,12 +66,12 @@ class Option:
 
     @property
     def dashed(self) -> str:
-        """The name with dashes, as on the command line."""
+        """Name of the option with dashes, as on the command line."""
         return self.name.replace("_", "-")
 
     @property
     def range(self) -> str:
-        """The accepted range, such as ``"1e-05 to 0.5"``; empty if there is none."""
+        """Accepted range of the value in words, such as ``"more than 0 and at most 0.5"``; empty if there is none."""
         return validation.range_text(self.gt, self.ge, self.le)
 
     def check(self, value: object) -> Any:
@@ -148,7 +148,7 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
         elif origin in (typing.Union, types.UnionType) and type(None) in arguments:
             optional = True
             rest = tuple(argument for argument in arguments if argument is not type(None))
-            annotation = rest[0] if len(rest) == 1 else typing.Union[rest]  # noqa: UP007 (a tuple of them)
+            annotation = rest[0] if len(rest) == 1 else typing.Union[rest]  # noqa: UP007 (the members are a tuple)
         elif origin in (typing.Union, types.UnionType):
             annotation = _Pair if set(arguments) == {float, tuple[float, float]} else object
         else:

@@ -14,7 +14,7 @@ _DELAY_S = 1.0
 
 
 class _Bar:
-    """Progress bar of the package tqdm. Its argument is the finished fraction of the work."""
+    """Progress bar of the package tqdm. A call with the finished fraction of the work updates the bar."""
 
     def __init__(self, name: str) -> None:
         if "ipykernel" in sys.modules:

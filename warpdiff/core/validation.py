@@ -39,7 +39,7 @@ def finite_array(
     try:
         numbers = np.asarray(value)
     except (TypeError, ValueError):
-        numbers = None  # the rows have different lengths
+        numbers = None  # NumPy raises an error for rows of different lengths
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     array = np.array(numbers, dtype=np.float64)
@@ -193,7 +193,7 @@ def path(value: object, name: str) -> Path:
     try:
         os.lstat(value)
     except (ValueError, OSError) as error:
-        # The system refuses NUL characters, unpaired surrogates and names of thousands of characters.
+        # The operating system refuses NUL characters, unpaired surrogates and names of thousands of characters.
         if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
             raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
     return Path(os.fsdecode(value))

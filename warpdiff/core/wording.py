@@ -33,7 +33,7 @@ def ref(name: str, value: object = None) -> str:
 
 
 def python_word(name: str, value: str | None) -> str:
-    """Return an argument as it is written in Python: ``tolerance``, or ``method='auto'``."""
+    """Return an argument in Python notation: ``tolerance``, or ``method='auto'``."""
     return name if value is None else f"{name}={value}"
 
 
@@ -99,7 +99,7 @@ class WarpdiffWarning(_MarkedError, UserWarning):
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Rename arguments in errors that the context raises, for example ``path`` to ``--environment``."""
+    """Context that renames arguments in the messages of its errors, for example ``path`` to ``--environment``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]

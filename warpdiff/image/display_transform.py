@@ -246,11 +246,11 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
 def _largest_in_gamut(
     is_in_gamut: Callable[[NDArray[np.float64]], NDArray[np.bool_]], most: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return, for each colour, the largest number from 0 to ``most`` that is in the gamut, by bisection.
+    """Return the largest chroma from 0 to ``most`` for which each colour is in the gamut, by bisection.
 
     Args:
-        is_in_gamut: Function that returns for each number whether its colour is in the gamut.
-        most: Largest number of each colour.
+        is_in_gamut: Function of the chroma of each colour. It returns whether the colours are in the gamut.
+        most: Upper bound of the chroma of each colour, shape (n,).
     """
     low, high = np.zeros_like(most), most
     for _ in range(_BISECTIONS):

@@ -304,7 +304,7 @@ class Image:
             ValueError: The suffix is not ``.exr`` or ``.png``, or an argument is not accepted.
             OSError: The file cannot be written; an existing file is unchanged.
         """
-        import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+        import OpenImageIO as oiio  # noqa: N813 (the name that its manual uses)
 
         target = check_target(path)
         is_png = target.suffix.lower() == ".png"

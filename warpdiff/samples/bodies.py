@@ -84,7 +84,7 @@ def tube(
             f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
-    # Head and tail are half ellipses; equal steps in the angle of the ellipse resolve their tips.
+    # The outlines of head and tail are half ellipses. Equal steps in the angle of an ellipse resolve its tip.
     head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
     at_head, at_tail = segments_along // 8, segments_along // 3
     head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
@@ -218,7 +218,7 @@ def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
 def _mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
 ) -> trimesh.Trimesh:
-    """Return a mesh from grids of vertices, normals and texture coordinates; ``process=False`` preserves the seam."""
+    """Return a mesh from vertices, normals and texture coordinates. Vertices at the seam are not merged."""
     import trimesh
 
     return trimesh.Trimesh(

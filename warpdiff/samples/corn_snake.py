@@ -48,10 +48,10 @@ _SHIELDS = np.array(
     + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
     + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
 )
-# Centre of the eye in the same coordinates, radius of the eye [radii of the body], and circumferential position of the
-# mouth, chosen by eye.
+# Centre of the eye (fractions of the head's length and of the circumference), radius of the eye [radii of the body],
+# and circumferential position of the mouth. Chosen by eye.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
-# Lengths of the head and of its circumference [radii of the body], which convert these coordinates to distances.
+# Lengths of the head and of its circumference [radii of the body], which convert positions on the head to distances.
 _HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])
 # Lengths of the rounded ends of head and tail [radii of the body].
 _SNOUT, _TIP = 0.4, 0.3
@@ -65,7 +65,7 @@ _STAND_OFF, _OVERHANG, _DOME = 0.10, 0.10, 0.035
 _BOW, _BOW_SIDEWAYS = 0.07, 0.10
 # Distance over which the relief fades in at the neck and out at the tail [scales].
 _FADE = 2.0
-# Width of the strip under a free edge in the texture [scales].
+# Width of the walls under free edges of scales, in the texture [scales].
 _RISER = 0.05
 
 # Colours of the pattern in sRGB, chosen by eye.
@@ -86,7 +86,7 @@ class _Patch(NamedTuple):
         shift: Displacement of the vertex to the rear [scales], shape (k,).
         rise: Displacement of the vertex outwards [scales], shape (k,).
         u, v: Positions ``x`` and ``tau`` in the texture, shape (k,).
-        wall: Whether the vertex belongs to the strip under a free edge, shape (k,).
+        wall: Whether the vertex belongs to the wall under a free edge of a scale, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
 
@@ -174,7 +174,7 @@ def snake(
     along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
     colours = _pigment(skin, np.random.default_rng(seed))
-    # The first row of an image is at v = 1.
+    # The rows are reversed, because the first row of an image is at the texture coordinate v = 1.
     colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
     return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
 
@@ -193,9 +193,9 @@ class _Skin:
 
     Attributes:
         radius: Half of the largest width of the body [mesh units].
-        breadth: Width of the back [rows], the x of its far edge.
+        breadth: Width of the back [rows], which is the largest x of the back.
         belly: Half of the width of the belly [rows].
-        count: Number of scales from the neck to the end of the tail, the τ at its end.
+        count: Number of scales from the neck to the end of the tail, which is τ at the end of the tail.
     """
 
     def __init__(self, radius: float, length: float, bend: float, waves: float, breadth: int, count: int) -> None:
@@ -476,7 +476,7 @@ def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
 
     Args:
         f: Position from the snout to the neck, 0 to 1.
-        across: Share of the circumference from the middle of the back, −0.5 to 0.5.
+        across: Fraction of the circumference from the middle of the back, −0.5 to 0.5.
     """
     f, across = np.broadcast_arrays(f, np.abs(across))
     nearest = np.full(f.shape, np.inf)
@@ -553,7 +553,7 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
 
     blotches = max(2, round(skin.count / 6.2))
-    # The offset places the first blotch on the neck.
+    # The offset of 0.4 places the first blotch of the pattern on the neck.
     phase = along / skin.count * blotches + 0.4
     period = skin.count / blotches
 

@@ -61,7 +61,7 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
     Args:
         period_um: Period along x [µm], more than 0.
         depth_um: Peak-to-valley depth [µm], at least 0.
-        duty: Share of the period that is high, between 0 and 1, default 0.5.
+        duty: Fraction of the period with the height ``depth_um``, between 0 and 1, default 0.5.
         samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
             0.04 µm.
 
@@ -217,7 +217,7 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Only the rows near the pit are processed.
+            # Only rows of samples near the pit are computed, to save time.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
             offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
@@ -341,7 +341,7 @@ def fingers(
     memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # Lengths below are in units of the actual period and the actual length.
+    # The coordinates x and y are measured in periods of the ridges and in lengths of the fingers.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
@@ -371,7 +371,7 @@ def fingers(
         weights[:, near_columns] += near
     ground /= weights
     heights = ground + (1.0 - ground) * top
-    # The heights are blurred like a measurement with a microscope tip of finite size. Real fingers are rounded, too.
+    # The heights are blurred by a Gaussian, because a microscope tip of finite size and real fingers have round edges.
     spread = 0.06 * period
     factor_y = np.exp(-2.0 * (np.pi * spread * np.fft.fftfreq(ny, dy)) ** 2)
     factor_x = np.exp(-2.0 * (np.pi * spread * np.fft.rfftfreq(nx, dx)) ** 2)

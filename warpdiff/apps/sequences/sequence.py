@@ -1,4 +1,4 @@
-"""``sequence``: frames of one surface, drawn in this process or by Dask workers; interrupted sequences resume."""
+"""Function ``sequence``, which renders the frames of a sequence in this process or by Dask workers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from warpdiff.image.display_transform import MEAN_SHOWN, Display, GamutName
 from warpdiff.image.image import MOST_STOPS, PNG_END, Bits
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
-from warpdiff.render.renderer import Renderer  # noqa: TC001 (``checked`` reads annotations)
+from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Format = Literal[".png", ".exr"]
 FORMATS: tuple[Format, ...] = get_args(Format)
-# Version of the hash of a sequence. It must increase when a new release makes other frames of the same arguments.
+# Version of the hash of a sequence. It must increase when a new release makes other frames from the same arguments.
 _VERSION = 2
 _MANIFEST = "sequence.json"
 # Number of frames from which automatic exposure is measured, and the longer side of these frames in pixels. Limits: the
@@ -64,7 +64,7 @@ def sequence(
         shots: Lights and camera of each frame; views have the size of the renderer's pictures.
         folder: Folder of the frames; it is created if it does not exist.
         formats: File formats of each frame: ``".png"``, ``".exr"``, or both.
-        animation: Animated file of the PNG frames: ``.webp``, ``.png`` (APNG) or ``.gif``. None makes none.
+        animation: Animated file of the PNG frames: ``.webp``, ``.png`` (APNG) or ``.gif``. None writes no animation.
         frames_per_second: Frame rate of the animation.
         display: Display transform of PNG files, as for :meth:`warpdiff.Image.save`.
         exposure: Linear factor of the light in all frames. None is automatic: the geometric mean of the automatic
@@ -84,7 +84,7 @@ def sequence(
         Paths of the frames in order, those of the first format, then those of the second.
 
     Raises:
-        ValueError: An argument is not accepted, or the folder holds frames of another sequence.
+        ValueError: An argument is not accepted, or the folder contains frames of another sequence.
         OSError: A file cannot be written; existing frames are unchanged.
 
     Examples:
@@ -196,12 +196,12 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     device = settings.device.partition(":")[0]
     _feed(digest, (device, state["surface"], heightfield.heights_um, heightfield.pitch_um))
     radiances: dict[int, str] = {}
-    # The text of a shot is used because it is fast enough for 100,000 shots.
+    # Each shot is hashed as its text (``repr``), because this is fast enough for 100,000 shots.
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The text of a shot has only the name of a spectrum and the rounded settings of an environment. Their
-            # arrays are therefore hashed as well.
+            # The text of a shot contains only the name of a spectrum and the rounded settings of an environment. The
+            # arrays of both are therefore hashed as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):

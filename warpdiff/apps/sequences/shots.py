@@ -64,7 +64,7 @@ class Shot:
 def turntable(
     lights: Light | Sequence[Light], view: View, *, count: Count = 36, turns: Turns = 1.0, lights_follow: bool = True,
 ) -> list[Shot]:  # fmt: skip
-    """Make the shots of a body that turns about the view's target, around its ``up``.
+    """Make the shots of a body that rotates about the axis through the view's target along the view's ``up``.
 
     :meth:`warpdiff.View.fit` returns a view that shows the whole body in all frames::
 

@@ -63,7 +63,7 @@ _MOST_GENERATION = 2**53 - 1
 
 
 class _HostileError(Exception):
-    """Raised for a message that the viewer's page never sends, so that the connection is closed."""
+    """Error for a message that the viewer's page never sends. It closes the connection."""
 
 
 def run(
@@ -114,7 +114,7 @@ class ViewServer:
         studio: Function that waits until the drawing thread has started, and returns its object.
         host: Address that the server listens on.
         port: Port that the server listens on. If it is 0, the server picks a free port and stores its number here.
-        token: Token that requests must carry; empty for the loopback address.
+        token: Token that requests must contain; empty if only this machine can reach the server.
     """
 
     controls: dict[str, Control]
@@ -134,9 +134,9 @@ class ViewServer:
 
     @property
     def address(self) -> str:
-        """The address to open in a browser."""
+        """Address of the page, which a user opens in a browser."""
         # An address such as 0.0.0.0 means all interfaces. Other machines need this machine's name instead.
-        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (it is compared)
+        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (the address is only compared)
         name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 

@@ -54,7 +54,7 @@ _MOST_IN_FLIGHT = 2
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors on the sides of a preview during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Least number of pixels of a preview, unless drawing so many pixels needs more than the second time above.
+# Least number of pixels of a preview during a movement, unless drawing so many pixels needs more than 0.08 s.
 _LEAST_PIXELS = 320 * 240
 # Number of recent previews whose median time predicts the time of the next one. A larger preview than the last one may
 # use only this fraction of the time limit, so that sizes do not alternate.
@@ -72,7 +72,7 @@ _FULL_COVERAGE = 0.999
 
 
 class _CancelledError(Exception):
-    """Raised by the progress callable of a picture that no page waits for."""
+    """Error that a progress callable raises to cancel a picture that no page waits for."""
 
 
 class Stage(NamedTuple):

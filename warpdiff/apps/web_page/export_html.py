@@ -25,7 +25,7 @@ from warpdiff.lights.environment import Environment
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.request.signatures import checked
-from warpdiff.scene.camera import View  # noqa: TC001 (``checked`` reads annotations)
+from warpdiff.scene.camera import View  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _NEAREST = 1.1
 _SIZE, _FRAMES = 1024, 1024
 # Number of wavelengths of the zeroth order. Limit: a fragment may use 64 texture fetches, and the lobes use the others.
 _WAVELENGTHS = 10
-# Number of samples over w of the zeroth order's power. Limit: linear interpolation between them must be exact enough.
+# Number of samples over w of the zeroth order's power. Limit: the page interpolates linearly between the samples.
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
 _MOST_LIGHTS = 8

@@ -21,7 +21,7 @@ function turned(v, axis, angle) {
   return add(add(scaled(v, c), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
 }
 
-// ---- Settings ------------------------------------------------------------------------------------------------------
+// ---- Values of the controls, and requests --------------------------------------------------------------------------
 
 const state = { values: {}, camera: null, probe: [0.5, 0.5] };
 let generation = 0, moving = false, body = null, controls = [];
@@ -51,7 +51,7 @@ function requestPicture() {
   });
 }
 
-// ---- The server ----------------------------------------------------------------------------------------------------
+// ---- Connection to the server --------------------------------------------------------------------------------------
 
 let socket = null;
 
@@ -300,7 +300,7 @@ function rest() {
   requestPicture();
 }
 
-// ---- The camera and the light in the picture -----------------------------------------------------------------------
+// ---- Camera and light, moved in the picture ------------------------------------------------------------------------
 
 let probed = null;
 

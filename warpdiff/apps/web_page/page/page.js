@@ -23,7 +23,7 @@ function fail(sentence) {
     throw new Error(sentence);
 }
 
-// -------------------------------------------------------------------------------------------------------------- arrays
+// ------------------------------------------------------------------------------------------------- unpacking of arrays
 
 async function unpack() {
     if (typeof DecompressionStream === "undefined") {
@@ -146,7 +146,7 @@ function bind(shader, name, at, target, what) {
     gl.uniform1i(shader.uniforms[name], at);
 }
 
-// ----------------------------------------------------------------------------------------------------------- the lobes
+// ----------------------------------------------------------------------------------------------- table of baked lobes
 
 // The coefficients of the polar grid are resampled to a Cartesian grid with mip levels. The grid has one layer per
 // colour channel and per group of four functions of w. Coefficients are divided by `lobesUnit` to fit half floats.
@@ -687,7 +687,7 @@ function listen() {
     canvas.addEventListener("webglcontextlost", () => fail("The graphics device was lost: reload the page."));
 }
 
-// --------------------------------------------------------------------------------------------------------------- start
+// --------------------------------------------------------------------------------------------------- start of the page
 
 async function begin() {
     const arrays = await unpack();
