@@ -44,8 +44,8 @@ class Interruption:
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
         # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
         atexit.register(self._ignore)
-        # Other packages, such as compilers, put their temporary files into this folder, which is deleted with the
-        # process. Child processes inherit the folder.
+        # Other packages, such as compilers, and child processes put temporary files into the folder of ``TMPDIR``. This
+        # process gets its own folder, which is deleted at its end.
         with contextlib.suppress(OSError):
             self._temporary = tempfile.TemporaryDirectory(prefix="warpdiff-", ignore_cleanup_errors=True)
             os.environ["TMPDIR"] = tempfile.tempdir = self._temporary.name

@@ -43,8 +43,8 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # Only the position changes. The stored key must not be replaced by the caller's equal key, which the
-                # caller may modify later.
+                # Only the position of the key in the order of use changes. The stored key is not replaced by the
+                # caller's equal key, which the caller may modify later.
                 self._values.move_to_end(key)
             return value
 

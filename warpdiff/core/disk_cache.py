@@ -36,7 +36,8 @@ _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
 _TEMPORARY = re.compile(rf"\.warpdiff-[0-9a-f]{{16}}\{_UNFINISHED}")
-# Time since the last write after which an unfinished file is deleted [s]. Limit: its process was probably killed.
+# Time since the last write to an unfinished file after which the file is deleted [s]. Limit: a process that has not
+# written for an hour was probably killed.
 _STALE_SECONDS = 3600.0
 
 
@@ -136,7 +137,7 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
 
 
 def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
-    """Write a file: a checksum, followed by the archive."""
+    """Write arrays to a file of the cache: a checksum, followed by a NumPy archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # The checksum reveals a file that a crash of the system has left incomplete.
     with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:

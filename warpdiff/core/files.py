@@ -1,4 +1,4 @@
-"""Files: atomic writes under a temporary name, and reads whose errors name the file."""
+"""Reading and writing of files. A write first makes a temporary file, and errors name the file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _unfinished: set[Path] = set()
 def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Iterator[Path]:
     """Provide an empty temporary file, which replaces the file ``target`` at the end of the context.
 
-    An error in the context removes the temporary file and leaves the old one unchanged.
+    If the context ends with an error, the temporary file is deleted and ``target`` is unchanged.
 
     Args:
         target: File to make or replace. The temporary file is in the same folder.

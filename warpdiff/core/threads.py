@@ -205,7 +205,7 @@ def _restore(libraries: Iterable[tuple[LibController, int]]) -> None:
 
 
 def _end() -> None:
-    """Restore the former thread counts, after the last context or in a child process."""
+    """Restore the thread counts of linear algebra, after the last context or in a forked child process."""
     global _contexts  # noqa: PLW0603 (a counter of the process, changed under a lock)
     _restore(_former.values())
     _former.clear()

@@ -73,7 +73,7 @@ WHITE = 1024.0
 _NODES, TOE = 33, 0.01
 # Number of bisections. Limit: 2^-20 of the range is smaller than a step of a 16-bit file.
 _BISECTIONS = 20
-# Number of colours that a thread transforms at a time. Limit: small enough to distribute a picture over all threads.
+# Number of colours that a thread transforms at a time. Limit: with larger numbers, small pictures use fewer threads.
 _TOGETHER = 8192
 # Least divisor, which prevents a division by zero.
 _LEAST = 1e-30

@@ -38,7 +38,7 @@ PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # Fraction of the illuminated pixels, the brightest ones, that automatic exposure excludes. Limit: mirror reflections
 # of a light may be a thousand times as bright as diffraction orders.
 _TOO_BRIGHT = 1e-4
-# Largest correction of an exposure [stops]. Limit: a factor of 1e9; more overflows float32.
+# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
 MOST_STOPS = 30.0
 # Memory for reading a file [bytes per sample]: four for a float32 sample, and four for its copy in another order.
 _BYTES_PER_SAMPLE = 8

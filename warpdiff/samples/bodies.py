@@ -103,7 +103,7 @@ def tube(
     # u increases around the body, starting at the belly, so that (around, forward, outward) is right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
-    phi[-1] = phi[0]  # both vertices at the seam have exactly the same position
+    phi[-1] = phi[0]  # The two vertices at the seam get exactly the same position.
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
     # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse. This form

@@ -26,9 +26,9 @@ Tangent = Literal["around", "along"]
 
 # Length of the head, and largest length of a snake [radii of the body]. Limit: the centre line has 4,097 points.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
-# Cross sections of the head and of the body, chosen by eye. Columns: position as a fraction of the length of the head
-# or of the rest; half width, height above the centre line and depth below it [radii of the body]; exponent of the
-# superellipse (2 is an ellipse, larger exponents are squarer).
+# Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
+# the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
+# the superellipse (2 is an ellipse, larger exponents are squarer).
 _HEAD = np.array([
     [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
     [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
@@ -71,7 +71,7 @@ _RISER = 0.05
 # Colours of the pattern in sRGB, chosen by eye.
 _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
-# Lengths of the head and of the tip of the tail in the texture [scales].
+# Lengths of the head and of the tip of the tail in the texture, in the unit of one scale of the body.
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
 # Number of texels of the texture per scale or row; the size of the texture is proportional to its square.
 _TEXELS = 8
@@ -208,7 +208,7 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # Bends start behind the head. The whole belly touches the ground.
+        # The centre line is straight in the head and bends behind it. The whole belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(

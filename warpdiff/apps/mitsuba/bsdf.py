@@ -257,7 +257,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
         def _mirror_share(self, cos_i: Variant, scale: Variant) -> Variant:
             """Return the probability that the sampling draws the mean plane's lobe, for one wavelength.
 
-            The probability is the mean plane's power in the mirror direction, between the two bounds.
+            The probability is the mean plane's power in the mirror direction, limited to the range from 0.05 to 0.9.
             """
             power = self._table.zeroth_at(2.0 * cos_i / scale)
             return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
@@ -292,7 +292,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
                     power = mi.Float(0.0)
                     for k in range(len(functions)):
                         power += coefficients[channels * k + channel] * functions[k]
-                    # A power spectrum cannot be negative. RGB colours outside of the sRGB gamut can.
+                    # Negative interpolated power is set to 0. RGB colours outside of the sRGB gamut remain negative.
                     power = dr.maximum(power, 0.0) if spectral else power
                     values.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
             return mi.Spectrum(*values) if spectral else mi.Color3f(*values)

@@ -260,14 +260,17 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control of the viewer's own option. With ``labels`` the first of them is the default."""
+    """Return a control that has no option in the library. It is a choice (with ``labels``), a flag or a number.
+
+    The default of a choice is its first value.
+    """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
     return Control(Option(name, kind, next(iter(labels or (default,))), text, unit=unit), group, label, **more)
 
 
 def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
-    """Return the control of an argument of one or several gratings, ``kinds``; the page shows it for these only."""
+    """Return the control of an argument of the gratings ``kinds``. The page shows it only for these gratings."""
     option = describe(getattr(gratings, kinds[0]))[argument]
     more = {"name": f"{kinds[0]}_{argument}"} | more
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)

@@ -281,7 +281,7 @@ def _further(view: wd.View) -> dict[str, Any]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield the words of a value on the command line, without exponents: argparse rejects negative numbers with one."""
+    """Yield the words of a value on the command line, without exponents, which argparse rejects in negative numbers."""
     for element in value if isinstance(value, tuple) else (value,):
         yield np.format_float_positional(element, trim="0") if isinstance(element, float) else str(element)
 

@@ -206,7 +206,7 @@ class ViewServer:
         return _response(200, "text/html; charset=utf-8", body, {"Content-Security-Policy": policy})
 
     async def _page(self, connection: ServerConnection) -> None:
-        """Serve one page over its socket."""
+        """Serve one page over its web socket."""
         # The limit is checked again: several sockets may have been accepted before any of them was counted.
         if self._pages >= MOST_PAGES:
             await connection.close(1013, "too many pages")
@@ -310,7 +310,7 @@ class _Page:
         self._put(json.dumps({"kind": "error", "text": text}))
 
     def _request(self, content: dict[str, Any]) -> PageRequest:
-        """Return the checked picture request of a message."""
+        """Return the request for a picture that a page's message contains, after checks of all values."""
         generation = validation.count(content.get("generation"), "generation", least=0, most=_MOST_GENERATION)
         aspect = validation.number(content.get("aspect"), "aspect", least=_ASPECTS[0], most=_ASPECTS[1])
         x, y = validation.numbers(content.get("probe"), "probe", length=2)

@@ -253,7 +253,7 @@ class Studio:
                     pictures = len(stages_to(request.values["tolerance"]))
                     if session.generation != request.generation:
                         session.generation = request.generation
-                        # If only the probe has moved, the picture is not drawn again: its stages continue.
+                        # If only the probe has moved, the picture is not drawn again, and its refinement continues.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:

@@ -59,7 +59,7 @@ class Arrays:
         self.add(name, "differences", data, *values.shape)
 
     def base64(self) -> str:
-        """Return all arrays as one deflated text in base64."""
+        """Return the bytes of all arrays, concatenated and deflated, as a text in base64."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
 
 

@@ -390,8 +390,8 @@ function drag(event) {
   const x = (event.clientX - box.left - stage.clientWidth / 2) * size;
   const y = (stage.clientHeight / 2 - (event.clientY - box.top)) * size;
   const ray = unit(add(add(scaled(view.right, x), view.top, y), view.back, -1));
-  // The light's direction points to the place where the ray enters or leaves the sphere. If the ray misses the sphere,
-  // it is the nearest point of the sphere's outline.
+  // The light is moved to the point where the ray of the pointer enters or leaves the sphere of the handle. If the ray
+  // misses the sphere, the light is moved to the nearest point of the sphere's outline.
   const { centre, radius } = sphere(view), offset = add(view.eye, centre, -1), near = -dot(offset, ray);
   const inside = near * near - dot(offset, offset) + radius ** 2;
   const wasOutside = handle.outside;

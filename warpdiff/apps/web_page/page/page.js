@@ -457,7 +457,7 @@ function addFrame(moving) {
         gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
         gl.uniform1f(uniforms.deviation, (moving ? 1 : OWN_SHARE) * DEVIATION);
-        // Frames at rest use the finest mip level of the texture, because the average over frames filters it.
+        // Without movement, frames use the finest mip level of the texture. Their average filters the texture.
         gl.uniform1f(uniforms.textureBias, moving ? 0 : -16);
         bind(scene.surface, "lobes", 0, gl.TEXTURE_2D_ARRAY, scene.grid);
         bind(scene.surface, "functionsOfW", 1, gl.TEXTURE_2D, scene.functions);
