@@ -1,4 +1,4 @@
-"""Configuration of the documentation site: ``make docs``."""
+"""Sphinx configuration of the documentation site, which ``make docs`` builds."""
 
 import sys
 from importlib import metadata
@@ -8,7 +8,8 @@ import warpdiff
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
-# Public modules are attributes of the package. Sphinx imports them by their public names.
+# Public modules such as ``warpdiff.gratings`` are only attributes of the package. With these entries Sphinx can import
+# them by their public names.
 for name in ("gratings", "meshes", "datasets"):
     if hasattr(warpdiff, name):
         sys.modules[f"warpdiff.{name}"] = getattr(warpdiff, name)
@@ -30,10 +31,10 @@ extensions = [
 ]
 templates_path = ["templates"]
 exclude_patterns = ["_build", "extensions", "templates", "jupyter_execute"]
-# sphinx-gallery writes its pages beside scripts and notebooks, which are downloads.
+# sphinx-gallery writes scripts and notebooks for download into the folder of its pages. Sphinx must not read them.
 exclude_patterns += [f"gallery/**/*.{suffix}" for suffix in ("ipynb", "py", "md5", "json", "zip")]
 nitpicky = True
-# Annotations name types of other packages, and ranges of values.
+# Sphinx does not warn about missing references to classes of other packages.
 nitpick_ignore_regex = [(r"py:class", r"(?!warpdiff\.).*")]
 
 html_theme = "pydata_sphinx_theme"
@@ -48,7 +49,7 @@ html_theme_options = {
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
-# A notebook runs again only if its text has changed.
+# Sphinx runs a notebook again only if its text has changed.
 nb_execution_mode = "cache"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True

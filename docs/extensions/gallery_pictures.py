@@ -1,4 +1,4 @@
-"""Pictures of the gallery: the files that an example saves beside itself."""
+"""Pictures of the gallery: the picture files that an example script writes into its own folder."""
 
 import shutil
 from pathlib import Path
@@ -7,9 +7,10 @@ from sphinx_gallery.scrapers import figure_rst
 
 
 def saved_pictures(_block, block_vars, gallery_conf) -> str:
-    """Move the pictures that a block of an example has written to the gallery.
+    """Move the pictures that a code block of an example has written into the gallery's folder.
 
-    sphinx-gallery calls this as a scraper of images, and shows the reStructuredText that it returns.
+    sphinx-gallery calls this function after each code block. The function returns reStructuredText that shows the
+    pictures.
     """
     folder = Path(block_vars["src_file"]).parent
     shown = []

@@ -1,4 +1,4 @@
-"""Reference pages that are generated from the code: command line, options of the functions, public names."""
+"""Sphinx extension that generates reference pages from the code: command line, options of functions, public names."""
 
 import argparse
 import inspect
@@ -10,7 +10,7 @@ from warpdiff.apps import cli
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.request import settings
 
-# Settings of public functions, from the general ones to those of pictures.
+# Classes of settings with the public functions that accept them, from general settings to those of pictures.
 SETTINGS = {
     "PlanSettings": "warpdiff.plan",
     "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map",
@@ -35,18 +35,18 @@ GROUPS = {
 }  # fmt: skip
 
 
-# Names that extensions of the library use; they are not imported by ``import warpdiff``.
+# Names for contributors who extend the library. They are not attributes of the package ``warpdiff``.
 EXTENSION_POINTS = ["warpdiff.lights.base.Light", "warpdiff.heightfield.readers.register_reader"]
 LITERAL = re.compile(r"(``.*?``)")
 
 
 def cell(text: object) -> str:
-    """Return text for a cell of a Markdown table."""
+    """Return a text in one line, escaped for a cell of a Markdown table."""
     return " ".join(str(text).replace("|", "\\|").replace("<", "&lt;").split())
 
 
 def options_page() -> str:
-    """Return the tables of options."""
+    """Return the page with a table of options for each class of settings."""
     lines, seen = [], set()
     for name, functions in SETTINGS.items():
         lines += [f"## {functions}", ""]
@@ -65,7 +65,7 @@ def options_page() -> str:
 
 
 def command_line_page() -> str:
-    """Return the help of all commands, as the command line prints it at a width of 100 characters."""
+    """Return the page with the help texts of all commands, wrapped at 100 characters."""
     lines = []
     for name, command in cli._COMMANDS.items():
         parser = cli._parser([name])
@@ -78,7 +78,7 @@ def command_line_page() -> str:
 
 
 def names_page() -> str:
-    """Return the summaries of all public names, by what they are for."""
+    """Return the page with the summaries of all public names, grouped by topic."""
     listed = [name for names in GROUPS.values() for name in names]
     missing = sorted(set(wd.__all__) - set(listed))
     if missing:
@@ -104,13 +104,13 @@ def names_page() -> str:
 
 
 def keep_bars(_app, _what, _name, _object, _options, lines: list[str]) -> None:
-    """Escape the bars of formulas such as |w|, which reStructuredText takes for substitutions."""
+    """Escape the bars of formulas such as |w|. reStructuredText would interpret them as substitutions."""
     for k, line in enumerate(lines):
         lines[k] = "".join(part if part[:2] == "``" else part.replace("|", r"\|") for part in LITERAL.split(line))
 
 
 def write(app, _config) -> None:
-    """Write the pages before Sphinx reads any."""
+    """Write the generated pages before Sphinx reads any page."""
     pages = {
         "api": ("Public names", "Import the package as `import warpdiff as wd`. Each name has a page.", names_page()),
         "options": ("Options of the functions", "Keyword arguments with their ranges and defaults.", options_page()),
@@ -120,13 +120,13 @@ def write(app, _config) -> None:
         page = Path(app.srcdir, "reference", f"{name}.md")
         page.parent.mkdir(exist_ok=True)
         content = f"# {title}\n\n{first}\n\n{text}"
-        # An unchanged page is not read again.
+        # An unchanged page is not written, so that Sphinx does not read it again.
         if not page.exists() or page.read_text(encoding="utf-8") != content:
             page.write_text(content, encoding="utf-8")
 
 
 def setup(app) -> dict[str, bool]:
-    """Register the generator, which runs before Sphinx looks for pages."""
+    """Register this extension with Sphinx. The pages are generated before Sphinx searches for pages."""
     app.connect("config-inited", write)
     app.connect("autodoc-process-docstring", keep_bars)
     return {"parallel_read_safe": True}

@@ -2,7 +2,8 @@
 Coherence lengths
 =================
 
-A short coherence length gives wide and pale spectra, a long one narrow and pure ones.
+Colours for three coherence lengths. A short coherence length gives wide and pale spectra. A long coherence
+length gives narrow spectra with pure colours.
 """
 
 import warpdiff as wd

@@ -2,7 +2,7 @@
 Speckle of one window
 =====================
 
-One window at one position shows speckle. The average over all positions is smooth.
+A coherence window at a single position gives speckle. The average over all positions of the window is smooth.
 """
 
 import warpdiff as wd

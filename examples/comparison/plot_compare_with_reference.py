@@ -2,8 +2,8 @@
 Compare a picture with a reference
 ==================================
 
-`wd.compare` measures errors as `tolerance` defines them, here of a picture at 0.1 against one at
-0.005.
+`wd.compare` computes the errors of a picture relative to a reference. The picture has a tolerance of 0.1,
+and the reference one of 0.005.
 """
 
 import warpdiff as wd

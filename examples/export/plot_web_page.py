@@ -2,7 +2,7 @@
 Web page
 ========
 
-One HTML file that any browser with WebGL 2 shows, also offline.
+Write one HTML file that any browser with WebGL 2 can show, also without a network connection.
 """
 
 from pathlib import Path

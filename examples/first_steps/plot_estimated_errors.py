@@ -2,7 +2,7 @@
 Estimated errors of pixels
 ==========================
 
-A picture and the error that it reports for each pixel, relative to the pixel's colour.
+A picture, and the estimated error of each pixel relative to the pixel's colour.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Colours in all directions
 =========================
 
-The reflectance of synthetic snake skin in all view directions, under light along the normal. The
-centre is the normal, the rim the horizon.
+The reflectance of synthetic snake skin in all view directions, under light along the surface normal. The
+centre of the picture is the normal, and its rim is the horizon.
 """
 
 import warpdiff as wd

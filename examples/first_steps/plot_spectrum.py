@@ -2,7 +2,8 @@
 Spectrum in one direction
 =========================
 
-The relative reflectance by wavelength in the first order of a sine of 2 µm.
+The relative reflectance of a sine grating of 2 µm as a function of the wavelength, in three view directions near the
+first order.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 Compact disc
 ============
 
-Pits of a compact disc in aluminium. The tangent of the disc is radial, across the tracks.
+A compact disc with pits in aluminium. The tangent of the disc is radial, across the tracks.
 """
 
 import warpdiff as wd

@@ -2,8 +2,8 @@
 Depth and duty cycle of a lamellar grating
 ==========================================
 
-The first order at 550 nm over depth and duty cycle: half a period and a quarter of a wavelength are
-best.
+Efficiency of the first order at 550 nm as a function of depth and duty cycle. It is largest for a duty cycle
+of one half and a depth of a quarter of the wavelength.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 Maps of common gratings
 =======================
 
-Colours in all directions of a sine, a square profile, a blazed grating and bumps.
+Colours of a sine grating, a rectangular grating, a blazed grating and bumps in all view directions.
 """
 
 import warpdiff as wd

@@ -2,7 +2,7 @@
 Efficiencies of orders
 ======================
 
-Share of the incident power in each order of a blazed grating of gold, by wavelength.
+Fraction of the incident power in each order of a blazed gold grating, as a function of the wavelength.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +16,7 @@ orders = wd.order_efficiencies(grating, (0.2, 0, 1), wavelengths_nm, material=go
 for m in range(-3, 3):
     plt.plot(wavelengths_nm, orders[0, m], label=f"order {m}")
 plt.xlabel("wavelength [nm]")
-plt.ylabel("share of the incident power")
+plt.ylabel("fraction of the incident power")
 plt.legend()
 plt.savefig("orders.png", dpi=100)
 plt.close()

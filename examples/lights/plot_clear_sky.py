@@ -2,7 +2,7 @@
 Clear sky
 =========
 
-A tube under the clear sky of the CIE with a sun, and the sky behind it.
+A gold tube under the CIE clear sky with a sun. The sky is also the background of the picture.
 """
 
 import warpdiff as wd

@@ -2,7 +2,7 @@
 Size of a light
 ===============
 
-The wider a light is, the paler are the spectra: discs of 0.5°, 3° and 10°.
+Disc lights of 0.5°, 3° and 10° in diameter. A wider light gives paler spectra.
 """
 
 import warpdiff as wd

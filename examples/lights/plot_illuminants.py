@@ -2,7 +2,7 @@
 Spectra of lights
 =================
 
-The same grating under daylight, incandescent light and fluorescent light with lines.
+The same grating under daylight, incandescent light, and fluorescent light, whose spectrum has narrow lines.
 """
 
 import warpdiff as wd

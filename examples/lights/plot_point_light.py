@@ -2,7 +2,7 @@
 Point light
 ===========
 
-A light near the body. Its power is specified at distance 1, and its spectrum is that of a
+A point light near the body. Its power is specified at a distance of 1, and its spectrum is that of a
 fluorescent tube.
 """
 

@@ -2,7 +2,8 @@
 Metals
 ======
 
-One grating in aluminium, gold and copper. Reflectance is that of the complex Fresnel equations.
+The same grating in aluminium, gold and copper. The reflectance follows from Fresnel's equations with
+complex indices of refraction.
 """
 
 import warpdiff as wd

@@ -2,7 +2,7 @@
 Pigment below the relief
 ========================
 
-Iridescent snakes are dark: a strong pigment hides the spectra.
+A snake with pigments of three strengths below the relief. A strong pigment hides the iridescent colours.
 """
 
 import warpdiff as wd

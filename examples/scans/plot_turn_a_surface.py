@@ -2,8 +2,8 @@
 Turn a height field
 ===================
 
-The same skin with its fingers along and across the body: `rotated` turns the height field by
-quarter turns.
+The same skin with its fingers along and across the body. The method `rotated` rotates the height field by
+multiples of 90°.
 """
 
 import warpdiff as wd

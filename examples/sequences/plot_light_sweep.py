@@ -2,7 +2,7 @@
 Moving light
 ============
 
-Three frames of a light that moves over a disc. The body and the camera are at rest.
+Three frames of a disc under a moving light. The body and the camera are at rest.
 """
 
 import warpdiff as wd

@@ -2,7 +2,7 @@
 Turntable
 =========
 
-A body that turns, as an animation. All frames have one exposure.
+An animation of a rotating body. All frames have the same exposure.
 """
 
 import shutil

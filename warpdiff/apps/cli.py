@@ -1,6 +1,6 @@
 """The command line: ``demo``, ``render``, ``sequence``, ``brdf``, ``export-html``, ``info``, ``view`` and ``cache``.
 
-Exit codes: 0 done, 1 failure, 2 bad input, 130 interrupted, 143 terminated, 129 hung up.
+Exit codes: 0 success, 1 failure, 2 bad input, 129 SIGHUP, 130 SIGINT (Ctrl+C), 143 SIGTERM.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Errors of the file system that concern a path of the user; a full disk is a failure.
+# File errors that count as bad input (exit code 2). Other file errors, such as a full disk, are failures (exit code 1).
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = (
-    "scan, or a synthetic height field: an image (8 or 16 bit grey, or float), .npy or .npz; or one of "
-    f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings as in fingers:size_um=25.6,seed=3, where "
-    "pairs are 2.0x1.0"
+    "file of a scan (an image of 8 or 16 bit grey or float, .npy or .npz), or a synthetic height field: one of "
+    f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings, for example fingers:size_um=25.6,seed=3; "
+    "pairs are written as 2.0x1.0"
 )
 _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
-    "warpdiff.meshes as in snake:tangent=along"
+    "warpdiff.meshes, for example snake:tangent=along"
 )
-# The command line's words for arguments that no flag is made from.
+# Names on the command line of the Python arguments that have no generated flag. Error messages print these names.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
@@ -45,7 +45,11 @@ _WORDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line and return the exit code.
+
+    Args:
+        arguments: Arguments without the program's name; None is ``sys.argv[1:]``.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     options, unknown = _parser(arguments).parse_known_args(arguments)
 
@@ -68,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             say(": ", "interrupted")
             return 130
         except BrokenPipeError:
-            # The reader of the output has closed it.
+            # The program that reads the output, such as ``head``, has closed the pipe.
             return 1
         except Exception as error:
             if options.debug:
@@ -80,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser of the command line; only the named command gets flags, which are imported."""
+    """Return the parser of the command line. Only the command in ``arguments`` gets its flags, for a fast start."""
     parser = _Parser(
         prog="warpdiff",
         description="Iridescent colours of diffraction gratings given as measured height fields.",
@@ -108,7 +112,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Report an error in one line, without the usage."""
+    """Argument parser that prints an error as one line, without the usage text."""
 
     def error(self, message: str) -> NoReturn:
         text = message.removeprefix("argument ").replace(": must ", " must ", 1)
@@ -116,7 +120,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Print the version, which takes long to find."""
+    """Action of ``--version``. The version is computed only when it is printed, because the computation is slow."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         print(f"warpdiff {wd.__version__}")
@@ -137,16 +141,16 @@ def _add_render(flags: Flags) -> None:
     _add_picture(flags, SinglePictureSettings)
     _add_output(flags)
     group = _add_environment(flags)
-    group.add_argument("--environment-behind", action="store_true", help="show it behind the picture, in a PNG")
+    group.add_argument("--environment-behind", action="store_true", help="show the environment as background of a PNG")
 
 
 def _add_environment(flags: Flags) -> Any:
-    """Add the flags of an environment, and return their group."""
+    """Add the flags of an environment light, and return their group in the help."""
     group = flags.group("environment")
     group.add_argument(
         "--environment", metavar="SKY",
-        help="sky or room: an EXR or HDR file in latitude and longitude, linear sRGB, or clear-sky, with parameters of "
-        "warpdiff.Environment.clear_sky as in clear-sky:sun_direction=1x1x0.5,ground_albedo=0.1",
+        help="environment light: an EXR or HDR file in latitude and longitude, linear sRGB, or clear-sky, with "
+        "parameters of warpdiff.Environment.clear_sky, for example clear-sky:sun_direction=1x1x0.5,ground_albedo=0.1",
     )  # fmt: skip
     loading = describe(wd.Environment.load)
     flags.add(group, loading, only=loading.keys() - {"path"}, prefix="environment-")
@@ -159,7 +163,7 @@ def _add_sequence(flags: Flags) -> None:
     group = flags.group("frames")
     group.add_argument(
         "-o", "--output", required=True, metavar="FOLDER",
-        help="folder of the frames; frames of the same sequence that exist are kept",
+        help="folder of the frames; existing frames of the same sequence are not rendered again",
     )  # fmt: skip
     group.add_argument("--count", type=integer, help="number of frames (default: 36, or the rows of --path)")
     kind = group.add_mutually_exclusive_group()
@@ -171,10 +175,10 @@ def _add_sequence(flags: Flags) -> None:
     kind.add_argument("--path", metavar="FILE", help="the camera's path: a CSV file, see warpdiff.camera_path")
     at_rest = group.add_mutually_exclusive_group()
     at_rest.add_argument(
-        "--lights-stay", action="store_true", help="the camera goes around the body; otherwise the body turns"
+        "--lights-stay", action="store_true", help="the camera moves around the body; otherwise the body rotates"
     )
     at_rest.add_argument(
-        "--lights-turn", action="store_true", help="the lights turn around the body, by --turns; otherwise it turns"
+        "--lights-turn", action="store_true", help="the lights rotate around the body; otherwise the body rotates"
     )
     flags.add(group, describe(wd.sequence), only=("formats", "animation", "frames_per_second", "overwrite"))
     group.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers render")
@@ -218,7 +222,7 @@ def _add_view(flags: Flags) -> None:
     _add_height_field(flags, several=True)
     view.add_argument(
         "--environment", nargs="+", action="extend", default=[], metavar="FILE",
-        help="skies or rooms that the page offers as lights, EXR or HDR in latitude and longitude, linear sRGB",
+        help="environment lights that the page offers: EXR or HDR in latitude and longitude, linear sRGB",
     )  # fmt: skip
     view.add_argument("--port", type=integer, default=0, help="port of the server (default: pick a free port)")
     view.add_argument(
@@ -231,12 +235,12 @@ def _add_view(flags: Flags) -> None:
 
 def _add_cache(flags: Flags) -> None:
     less = flags.parser.add_mutually_exclusive_group()
-    less.add_argument("--trim-mib", type=number, metavar="MIB", help="keep at most this size, the last used files")
+    less.add_argument("--trim-mib", type=number, metavar="MIB", help="limit the size; the last used files stay")
     less.add_argument("--clear", action="store_true", help="delete all files")
 
 
 def _add_picture(flags: Flags, settings: type) -> None:
-    """Add the flags of pictures: mesh, height field, evaluation, lights and camera, and how files are saved."""
+    """Add the flags of pictures: mesh, height field, evaluation, lights, camera and picture file."""
     flags.parser.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
     _add_height_field(flags)
     _add_evaluation(flags, settings)
@@ -256,7 +260,7 @@ def _add_height_field(flags: Flags, *, default: str | None = None, several: bool
         "--level", type=integer, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)"
     )
     group.add_argument("--despike", action="store_true", help="remove dust")
-    group.add_argument("--fill", action="store_true", help="fill missing samples from those around them")
+    group.add_argument("--fill", action="store_true", help="interpolate missing samples")
     group.add_argument("--crop-um", type=number, metavar="SIZE", help="keep a square of this size from the middle")
     group.add_argument("--periodic", action="store_true", help="make opposite edges match")
 
@@ -295,9 +299,9 @@ def _add_scene(flags: Flags) -> None:
     group = flags.group("lights")
     group.add_argument(
         "--light", nargs="+", action="append", metavar="LIGHT",
-        help="a light: X Y Z, the direction towards it, or KIND:name=value,… of warpdiff's lights, as in "
+        help="light: the direction towards it, X Y Z, or one of warpdiff's lights, KIND:name=value,…, for example "
         "directional:to_light=0x1x1,angular_diameter_deg=3 or point:position=0x2x1,power=4; may be repeated (default: "
-        "directional, from behind the camera's shoulder)",
+        "a directional light from above and to the right of the camera)",
     )  # fmt: skip
     group = flags.group("camera")
     flags.add(group, describe(wd.View), defaults={"eye": None, "target": None})
@@ -315,9 +319,14 @@ def _add_output(flags: Flags) -> None:
 
 
 class _Command(NamedTuple):
-    """A command: its description, an example, and the functions that add its flags and run it.
+    """Command of the command line.
 
-    ``words`` are the command line's words for arguments that no flag is made from.
+    Attributes:
+        what: One-line description in the help.
+        example: Examples in the help.
+        add_flags: Function that adds the command's flags to its parser.
+        run: Function that runs the command.
+        words: Names on the command line of the Python arguments that have no generated flag.
     """
 
     what: str
@@ -329,7 +338,7 @@ class _Command(NamedTuple):
 
 _COMMANDS = {
     "demo": _Command(
-        "render a set of pictures and say where they are",
+        "render a set of demonstration pictures",
         "warpdiff demo --output pictures",
         _add_demo, cli_commands.demo, {"scale": "--scale", "output": "--output"},
     ),
@@ -340,7 +349,7 @@ _COMMANDS = {
         _add_render, cli_commands.render,
     ),
     "sequence": _Command(
-        "render frames: a body that turns, or under lights that move, or along a camera's path",
+        "render the frames of a sequence: a rotating body, moving lights, or a camera path",
         "warpdiff sequence snake --heightfield fingers --count 72 --tolerance 0.03 --pigment 0.1 -o turn \\\n"
         "      --animation turn.webp\n"
         "  warpdiff sequence disc --heightfield cd --light 0 0.5 1 --light-to 0.8 0.1 1 -o sweep\n"
@@ -352,7 +361,7 @@ _COMMANDS = {
         },
     ),
     "brdf": _Command(
-        "map the reflectance over all view directions, seen from above",
+        "save a map of the reflectance over all view directions",
         "warpdiff brdf --heightfield blazed:period_um=2.5,depth_um=0.25 --incidence-deg 20 -o blazed.png",
         _add_brdf, cli_commands.brdf, _WORDS | {"to_light": "--incidence-deg"},
     ),
@@ -364,12 +373,12 @@ _COMMANDS = {
         _add_export_html, cli_commands.export_html, _WORDS | {"path": "OUT"},
     ),
     "info": _Command(
-        "describe a height field, and what an evaluation of it would compute",
+        "print a summary of a height field and the plan of its evaluation",
         "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
         _add_info, cli_commands.info,
     ),
     "view": _Command(
-        "turn body, light and surface by hand, on a page in the browser",
+        "start the interactive viewer, a page in the browser",
         "warpdiff view\n"
         "  warpdiff view snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 --periodic",
         _add_view, cli_commands.view,

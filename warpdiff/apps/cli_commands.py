@@ -1,4 +1,4 @@
-"""Commands of the command line, which compute, write files, and say where these are."""
+"""Commands of the command line. Each command computes a result, writes its files and prints their paths."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MOST_PORT, _GRAZING_DEG = 65_535, 90.0
 
 
 def _progress() -> bool:
-    """Whether progress is shown: on a terminal."""
+    """Whether progress bars are shown: only if standard error is a terminal."""
     return sys.stderr.isatty()
 
 
@@ -47,14 +47,15 @@ def render(options: argparse.Namespace) -> None:
     image = wd.shade(mesh, heightfield, lights, view, **settings, progress=_progress())
     background = None
     if environment is not None and options.environment_behind:
-        # Pictures by an index of refraction are relative to the reflectance at normal incidence.
+        # With a constant index of refraction, pictures are divided by the reflectance at normal incidence. The
+        # background is divided by the same number.
         normal, _ = check_reflection(settings.get("ior"), settings["material"])
         background = environment.background(view) / np.float32(normal)
     _save(image, options, background)
 
 
 def _check_output(options: argparse.Namespace) -> None:
-    """Refuse a file that cannot be written, before minutes are spent on it."""
+    """Raise an error if the output file cannot be written, before rendering starts."""
     check_target(options.output, "--output")
     given(options, describe(wd.Image.save))
     if "background" in options:
@@ -110,7 +111,7 @@ def sequence(options: argparse.Namespace) -> None:
 
 
 def export_html(options: argparse.Namespace) -> None:
-    """Write a web page with a body that visitors rotate."""
+    """Write a web page that shows a body, which visitors rotate."""
     target = validation.path(options.output, "path")
     if target.suffix.lower() not in (".html", ".htm"):
         raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {options.output!r}")
@@ -129,7 +130,7 @@ def export_html(options: argparse.Namespace) -> None:
 
 
 def brdf(options: argparse.Namespace) -> None:
-    """Compute a map of the reflectance in all view directions, and save it."""
+    """Compute a map of the reflectance over all view directions, and save the map."""
     _check_output(options)
     if not abs(options.incidence_deg) < _GRAZING_DEG:
         raise ArgumentValueError(
@@ -154,7 +155,7 @@ def demo(options: argparse.Namespace) -> None:
 
 
 def info(options: argparse.Namespace) -> None:
-    """Describe a height field and its default plan."""
+    """Print a summary of a height field and its plan for the whole hemisphere."""
     heightfield = cli_inputs.height_field_of(options)
     print(heightfield.summary())
     if heightfield.missing.any():
@@ -180,7 +181,7 @@ def view(options: argparse.Namespace) -> None:
         for path in paths:
             if not validation.path(path, name).is_file():
                 raise marked(FileNotFoundError, f"{ref(name)}: there is no file {path!r}")
-    # Files that cannot be loaded are reported here rather than on the page.
+    # Each file is loaded once before the server starts, so that the terminal shows the errors of unreadable files.
     for path in options.heightfield:
         cli_inputs.cleaned_of(cli_inputs.scan_of(path, options), options)
     for path in options.environment:
@@ -197,7 +198,7 @@ def view(options: argparse.Namespace) -> None:
 
 
 def cache(options: argparse.Namespace) -> None:
-    """Describe or trim the disk cache."""
+    """Trim or clear the disk cache if a flag asks for it, and print its size."""
     if options.trim_mib is not None:
         validation.number(options.trim_mib, "--trim-mib", least=0.0)
     folder = disk_cache.cache_folder()

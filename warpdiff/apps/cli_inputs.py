@@ -1,4 +1,4 @@
-"""Inputs of the command line: height fields, bodies, materials and lights from the texts of flags."""
+"""Inputs of the command line: height fields, bodies, materials and lights that the values of flags describe."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-# Synthetic height fields by name: function of ``wd.gratings``, with the parameters that the command line begins with.
+# Synthetic height fields by their name on the command line: function of ``wd.gratings``, and default parameters.
 GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
     "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
@@ -37,13 +37,20 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
-# The environment that is no file, and the direction to its sun that the command line begins with: from the upper right.
+# Name of the environment that is computed instead of loaded, and the default direction to its sun: the upper right.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 
 
 def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: Any, flag: str) -> Any:
-    """Return what a name such as ``fingers:size_um=25.6`` makes by a function of a module; None for another text."""
+    """Return the object that a text such as ``fingers:size_um=25.6`` describes; None if the text names no function.
+
+    Args:
+        text: Value of the flag: the name of a function, optionally with parameters after a colon.
+        functions: Functions of the module by their name on the command line, with default parameters.
+        module: Module of the functions.
+        flag: Name of the argument for error messages.
+    """
     name, colon, parameters = text.partition(":")
     if name.lower() in functions:
         function, defaults = functions[name.lower()]
@@ -55,7 +62,7 @@ def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: 
 
 
 def _called(text: str, function: Callable[..., Any], parameters: str, defaults: dict[str, Any], flag: str) -> Any:
-    """Call a function with parameters ``name=value,…`` over defaults."""
+    """Call a function with parameters from a text ``name=value,…``, which override the defaults."""
     known = [name for name in inspect.signature(function).parameters if name != "_"]
     values = {}
     for assignment in filter(None, parameters.split(",")):
@@ -77,7 +84,7 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
 
 
 def _value(text: str) -> Any:
-    """Return a number, several numbers joined by ``x``, or the text itself."""
+    """Return the number in a text, a tuple of the numbers joined by ``x``, or otherwise the text."""
     if re.fullmatch(r"[-+\d.e]+(x[-+\d.e]+)+", text):
         return tuple(map(_value, text.split("x")))
     for kind in (int, float):
@@ -87,7 +94,7 @@ def _value(text: str) -> Any:
 
 
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
-    """Return the height field of a file or of a synthetic one, cleaned."""
+    """Return the cleaned height field that ``--heightfield`` names: a file or a synthetic grating."""
     text = options.heightfield
     made = _named(text, GRATINGS, wd.gratings, "heightfield")
     if made is None:
@@ -103,13 +110,13 @@ def height_field_of(options: argparse.Namespace) -> wd.HeightField:
 
 
 def scan_of(path: str, options: argparse.Namespace) -> wd.HeightField:
-    """Return the height field of a file."""
+    """Return the height field of a file, before cleaning."""
     with renaming({"path": "--heightfield"}):
         return wd.HeightField.load(path, **given(options, describe(wd.HeightField.load)))
 
 
 def cleaning_of(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str, Any], ...]]]:
-    """Return the methods of a height field that flags call, in their order, with their arguments."""
+    """Return the cleaning methods of ``HeightField`` that the flags select, in order of application, with arguments."""
     result: list[tuple[str, tuple[tuple[str, Any], ...]]] = []
     for method, (flag, argument) in CLEANING.items():
         value = getattr(options, flag.removeprefix("--").replace("-", "_"))
@@ -119,25 +126,25 @@ def cleaning_of(options: argparse.Namespace) -> list[tuple[str, tuple[tuple[str,
 
 
 def cleaned_of(heightfield: wd.HeightField, options: argparse.Namespace) -> wd.HeightField:
-    """Return a height field after the cleaning that the flags ask for."""
+    """Return the height field after the cleaning methods that the flags select."""
     for name, arguments in cleaning_of(options):
         heightfield = getattr(heightfield, name)(**dict(arguments))
     return heightfield
 
 
 def coherence_of(options: argparse.Namespace) -> Coherence | None:
-    """Return the coherence of the flags; None if there are none."""
+    """Return the coherence that the flags describe; None without such flags."""
     values = given(options, describe(Coherence))
     return Coherence(**values) if values else None
 
 
 def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
-    """Return the settings that flags gave, with material and coherence."""
+    """Return the evaluation settings from the flags by name, including material and coherence."""
     return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
 
 
 def material_of(options: argparse.Namespace) -> wd.Material | None:
-    """Return the material that flags name, under its film."""
+    """Return the material of ``--material``, coated with the film of ``--film``; None without ``--material``."""
     if options.material is None:
         if options.film is not None:
             raise ArgumentValueError(f"{ref('film')} requires {ref('material')}: give both")
@@ -157,7 +164,7 @@ def material_of(options: argparse.Namespace) -> wd.Material | None:
 
 
 def _named_material(name: str, option: str) -> wd.Material:
-    """Return a metal, a dielectric of a constant index, or the material of a file."""
+    """Return the material of a name: a metal's symbol, a constant index of refraction, or a file's path."""
     if name in METAL_SYMBOLS:
         return wd.Material.metal(name)  # type: ignore[arg-type]
     with renaming({"path": f"--{option}", "n": f"--{option}"}):
@@ -174,7 +181,7 @@ def _named_material(name: str, option: str) -> wd.Material:
 
 
 def illuminant_of(text: str) -> str | wd.Spectrum:
-    """Return the illuminant of a name, or the spectrum of a temperature or a file."""
+    """Return the name of an illuminant unchanged, or the spectrum of a temperature such as ``2856K`` or of a file."""
     with renaming({"path": "--illuminant", "temperature_k": "--illuminant"}):
         if re.fullmatch(r"[0-9.]+K", text):
             with contextlib.suppress(ValueError):
@@ -186,7 +193,10 @@ def illuminant_of(text: str) -> str | wd.Spectrum:
 
 
 def lights_of(options: argparse.Namespace, view: wd.View, environment: wd.Environment | None = None) -> list[Any]:
-    """Return the lights that flags give, and the environment; of none, one from behind the camera's shoulder."""
+    """Return the lights of the ``--light`` flags and the environment.
+
+    Without any light, return one directional light that comes from above and to the right of the camera.
+    """
     illuminant, lights = illuminant_of(options.illuminant), []
     for texts in options.light or ():
         kind, colon, parameters = texts[0].partition(":")
@@ -217,11 +227,11 @@ def lights_of(options: argparse.Namespace, view: wd.View, environment: wd.Enviro
 
 
 def environment_of(options: argparse.Namespace) -> wd.Environment | None:
-    """Return the environment that flags give."""
+    """Return the environment light of the ``--environment`` flags; None without them."""
     described = describe(wd.Environment.load)
     values = given(options, described, "environment_")
     words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
-    # Sequences have no such flag.
+    # The ``sequence`` command has no flag ``--environment-behind``.
     is_behind = getattr(options, "environment_behind", False)
     if options.environment is None:
         if values or is_behind:
@@ -248,7 +258,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
-    """Return mesh, height field and view of a picture, or of pictures of a mesh that turns."""
+    """Return mesh, height field and view of a picture. With ``turning``, the view fits the mesh at every rotation."""
     heightfield = height_field_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh

@@ -1,4 +1,4 @@
-"""Flags of the command line, made from the descriptions of options; a flag is the Python name with dashes."""
+"""Flags of the command line, generated from the descriptions of options. A flag is the Python name with dashes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def integer(text: str) -> int:
-    """Return the integer of a text."""
+    """Return the integer in a text, for argparse."""
     try:
         return int(text)
     except ValueError:
@@ -25,7 +25,7 @@ def integer(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """Return the number of a text."""
+    """Return the number in a text, for argparse."""
     try:
         return float(text)
     except ValueError:
@@ -38,11 +38,11 @@ _TYPES: dict[str, Callable[[str], Any]] = {
 _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "choices": "NAME", "object": "VALUE"}
 
 
-# Arrays of which the command line takes three numbers.
+# Options whose Python value is an array, but which the command line accepts as three numbers.
 VECTORS = ("tangents", "background")
-# Flags of a coherence that are not the argument's name with dashes.
+# Flags of ``Coherence`` whose name differs from the argument's name with dashes.
 COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
-# Methods of a height field, with the flags that call them and the argument that a flag gives.
+# Cleaning methods of ``HeightField``: the flag that calls the method, and the argument that gets the flag's value.
 CLEANING = {
     "cropped": ("--crop-um", "size_um"), "levelled": ("--level", "order"), "despiked": ("--despike", None),
     "filled": ("--fill", None), "periodic": ("--periodic", None),
@@ -50,11 +50,11 @@ CLEANING = {
 
 
 class Flags:
-    """The flags of one command, and what its messages call each argument.
+    """Flags of one command, with the names that its messages use for the arguments.
 
     Attributes:
-        parser: The command's parser.
-        words: The command line's words by the names of arguments in Python.
+        parser: Parser of the command.
+        words: Names on the command line, such as ``--tolerance``, by the arguments' names in Python.
     """
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
@@ -63,7 +63,7 @@ class Flags:
         self._stored: set[str] = set()
 
     def group(self, title: str) -> Any:
-        """Return a group of flags with a title in the help."""
+        """Return a new group of flags, which the help lists under a title."""
         return self.parser.add_argument_group(title)
 
     def add(
@@ -73,18 +73,18 @@ class Flags:
         """Add a flag for each option.
 
         Args:
-            group: Group of the help that lists them.
-            options: Options by name.
-            only: Names of those that get a flag; None is all that a flag can express.
-            names: Flags that differ from the name in Python.
-            defaults: Defaults of the command that differ from the library's.
-            prefix: Beginning of the flags' names and of the attributes that values are stored in.
+            group: Group of the help that lists the flags.
+            options: Descriptions of options by name.
+            only: Names of the options that get a flag; None selects all options that a flag can express.
+            names: Names of flags that differ from the option's name with dashes, by option.
+            defaults: Default values of the command that differ from the library's, by option.
+            prefix: Prefix of the flags' names and of the attributes of the parsed arguments.
         """
         stored = prefix.replace("-", "_")
         chosen = [
             option for option in options.values() if (option.kind != "object" if only is None else option.name in only)
         ]
-        # The help of one option may mention another one.
+        # All flags get their names before any help text is written, because one help text may name another option.
         for option in chosen:
             negation = "no-" if option.kind == "flag" and option.default is True else ""
             flag = (names or {}).get(option.name) or f"--{negation}{prefix}{option.dashed}"
@@ -103,12 +103,12 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store the words with what is parsed; further words are by Python's names."""
+        """Store the names for messages in the parsed arguments. ``words`` adds names for arguments without a flag."""
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
 
 def _shape(option: Option) -> dict[str, Any]:
-    """Return type, number and placeholder of the values of a flag."""
+    """Return argparse's keywords for a flag: type, number and placeholder of its values."""
     if option.name in VECTORS:
         return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
@@ -120,7 +120,7 @@ def _shape(option: Option) -> dict[str, Any]:
 
 
 def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
-    """Return the meaning, the range or choices, and the default of an option, in the command line's words."""
+    """Return the help text of a flag: meaning, range or choices, and default, with the names of the command line."""
 
     def code(match: re.Match[str]) -> str:
         name, equals, value = match[1].partition("=")
@@ -137,12 +137,21 @@ def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
     if option.kind != "flag" and default is not None and default is not REQUIRED:
         facts.append(f"default: {' '.join(map(str, default)) if isinstance(default, (tuple, list)) else default}")
     facts = [fact for fact in facts if fact]
-    # argparse reads % as the beginning of a format.
+    # argparse formats help texts with the % operator, so that a literal % must be doubled.
     return (f"{text} ({'; '.join(facts)})" if facts else text).replace("%", "%%")
 
 
 def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: str = "") -> dict[str, Any]:
-    """Return the arguments that flags gave, by name, in Python's types; raise an error that names a wrong one."""
+    """Return the Python arguments that the flags set, by name, after a check of each value.
+
+    Args:
+        options: Parsed arguments of the command.
+        described: Descriptions of the options to return, by name.
+        prefix: Prefix of the flags' names.
+
+    Raises:
+        ValueError: A value is out of range; the message names its flag.
+    """
     values = vars(options)
     result = {}
     for option in described.values():
@@ -159,7 +168,13 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:
-    """Write an argument as the command line does: ``--tolerance``, or ``--method auto``."""
+    """Return an argument as the user types it on the command line: ``--tolerance``, or ``--method auto``.
+
+    Args:
+        name: Name of the argument in Python, possibly with an index or an attribute.
+        value: Value of the argument in Python notation; None for the name alone.
+        words: Names on the command line by Python's names.
+    """
     first, last = re.split(r"[\[.]", name, maxsplit=1)[0], name.rpartition(".")[2]
     flag = words.get(name) or words.get(last) or words.get(first, first)
     if value is None:

@@ -1,4 +1,4 @@
-"""Demonstration pictures: a snake, discs, BRDF maps, and the scan if the real inputs are available."""
+"""Demonstration pictures: a snake, compact discs, BRDF maps, and pictures of a real scan if its file is available."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 _SCAN = info("corn_snake_scan")
 SCAN = _SCAN.local_name
 MESH = "fuze.obj"
-# Relative error of the pictures. Limit: the demonstration takes about half a minute.
+# Relative error of the pictures. Limit: with it the whole demonstration requires about 30 s. Twice the value doubles
+# the error.
 _TOLERANCE = 5e-2
 
 
@@ -44,10 +45,10 @@ class DemoPicture:
 
     Attributes:
         name: Name of the file without suffix.
-        title: Subject of the picture.
-        make: Function that computes the picture; its argument is ``progress``.
-        stops: Correction of the automatic exposure, a factor of 2 per stop.
-        background: Encoded colour of the background; None is transparent.
+        title: Subject of the picture, in a few words.
+        make: Function that computes the picture. Its argument is the progress callable.
+        stops: Correction of the automatic exposure in stops; each stop is a factor of 2.
+        background: Display-encoded RGB colour of the background, 0 to 1; None is transparent.
     """
 
     name: str
@@ -58,9 +59,13 @@ class DemoPicture:
 
 
 def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the folder of the real inputs, or None; a folder that is named must exist.
+    """Return the folder of the real scan and mesh, or None if there is no such folder.
 
-    It is the argument, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
+    The first of these that is set is used: the argument ``data``, the environment variable ``WARPDIFF_DATA``, and
+    ``../shared/data`` next to a checkout.
+
+    Raises:
+        FileNotFoundError: The folder that ``data`` or ``WARPDIFF_DATA`` names does not exist.
     """
     name = data or os.environ.get("WARPDIFF_DATA")
     folder = Path(name) if name else Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -74,12 +79,17 @@ def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
-    """Load the scan of a snake's skin, levelled, despiked and periodic."""
+    """Load the scan of a snake's skin, and return it levelled, despiked and made periodic."""
     return read(_SCAN, path).levelled(order=2).despiked().periodic()
 
 
 def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
-    """Return the pictures that can be made from these inputs, at ``scale`` times their size."""
+    """Return the pictures of the demonstration.
+
+    Args:
+        data: Folder with the real scan and mesh; without it the list has only the synthetic gratings.
+        scale: Factor on the width and height of each picture.
+    """
 
     def pixels(count: int) -> int:
         return max(2, round(count * scale))
@@ -94,11 +104,11 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     size = pixels(1000)
 
     def shaded(mesh: Callable[[], Any], *scene: Any, **options: Any) -> Callable[[Progress], Image]:
-        # The mesh is made with its picture, as some take seconds.
+        # The mesh is built only when its picture is rendered, because some meshes require seconds.
         return lambda progress: shade(mesh(), *scene, **options, tolerance=_TOLERANCE, progress=progress)
 
     def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:
-        # A pigment reflects about as much as the orders of diffraction: iridescent snakes are dark ones.
+        # The pigment is dark, because a bright one would reflect more light than the diffraction orders and hide them.
         return shaded(lambda: meshes.snake(tangent=tangent), heightfield, snake_lights, view, pigment=0.05)
 
     def two_discs() -> trimesh.Scene:
@@ -131,8 +141,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
                 snake(scan, half_snake), 1.0,
             ),
             DemoPicture(
-                "snake_elaphe_across", "the same with its fingers across the body", snake(scan, half_snake, "along"),
-                0.4,
+                "snake_elaphe_across", "the scan of Elaphe guttata on the snake, its fingers across the body",
+                snake(scan, half_snake, "along"), 0.4,
             ),
             DemoPicture("map_elaphe", "BRDF map, the scan", over_hemisphere(scan), -1.3),
         ]  # fmt: skip
@@ -165,12 +175,12 @@ def run(
 
     Args:
         output: Folder of the pictures; it is created if it does not exist.
-        data: Folder with the real inputs; None is ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
-        scale: Factor on the pictures' sizes.
+        data: Folder with the real scan and mesh; None is ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
+        scale: Factor on the width and height of each picture.
         display: Display transform, as for :meth:`warpdiff.Image.save`.
         gamut: Gamut of the display.
         say: Callable that gets one line of text per picture.
-        progress: Callable that gets the share of each picture that is done, 0 to 1; True shows a bar per picture.
+        progress: Callable that gets the finished fraction of each picture, 0 to 1; True shows a bar per picture.
 
     Returns:
         The paths of the pictures.

@@ -1,7 +1,7 @@
-"""Process of the command line: signals, exit codes and standard streams. The library itself handles no signals.
+"""Signals, exit codes and standard streams of the command line's process. The library itself handles no signals.
 
-A signal leaves no files behind, and the exit code names it. Standard streams may be closed, full, or unable to encode
-every character.
+A process that a signal ends deletes its unfinished files, and its exit code is 128 plus the signal's number. Standard
+streams may be closed, full, or unable to encode every character.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from warpdiff.core import files
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Attempts to delete folders that other threads still write into; 0.1 s in total.
+# Number of attempts to delete the temporary folders, and the pause between them. Limit: 0.1 s in total. Other threads
+# may still write into the folders. Twice the values delay the end of an interrupted process by 0.1 s.
 _SWEEPS, _BETWEEN_SWEEPS_S = 20, 0.005
 
 
 class Interruption:
-    """Handles signals from its construction to the end of the process.
+    """Signal handler that is active from its construction to the end of the process.
 
-    The first signal raises ``KeyboardInterrupt`` in the main thread, which lets contexts end; a second one ends the
-    process at once. Python runs both between two instructions of the main thread, so that a long native call, such as
-    a compilation, returns first. Exit codes are 128 plus the signal's number: 130, 143 or 129.
+    The first signal raises ``KeyboardInterrupt`` in the main thread, so that context managers clean up. A second signal
+    ends the process at once. Python calls the handler only between two instructions of the main thread: a long native
+    call, such as a compilation, returns first. Exit codes are 128 plus the signal's number: 129, 130 or 143.
     """
 
     def __init__(self, signals: Sequence[signal.Signals]) -> None:
@@ -41,9 +42,10 @@ class Interruption:
         self._returned = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
-        # The function that is registered first runs last.
+        # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
         atexit.register(self._ignore)
-        # Temporary files of other packages, such as compilers, go with the process; child processes inherit the folder.
+        # Other packages, such as compilers, and child processes put temporary files into the folder of ``TMPDIR``. This
+        # process gets its own folder, which is deleted at its end.
         with contextlib.suppress(OSError):
             self._temporary = tempfile.TemporaryDirectory(prefix="warpdiff-", ignore_cleanup_errors=True)
             os.environ["TMPDIR"] = tempfile.tempdir = self._temporary.name
@@ -52,12 +54,16 @@ class Interruption:
 
     @property
     def is_interrupted(self) -> bool:
-        """Whether there was a signal."""
+        """Whether the process has received a signal."""
         return self._code is not None
 
     def finish(self, code: int) -> int:
-        """Flush the standard streams and return the command's code, or end the process if it was interrupted."""
-        # From now on a signal ends the process at once.
+        """Flush the standard streams and return the exit code; end the process if a signal interrupted the command.
+
+        Args:
+            code: Exit code of the command. It becomes 1 if standard output cannot be written.
+        """
+        # From this assignment on, the signal handler ends the process at once.
         self._returned = True
         is_complete = flush_streams()
         if self._code is not None:
@@ -65,7 +71,7 @@ class Interruption:
         return code if is_complete else code or 1
 
     def _ignore(self) -> None:
-        """All is written and tidied up: the command's own code stands while Python shuts down."""
+        """Ignore signals while Python shuts down, so that they do not replace the command's exit code."""
         for number in self._signals:
             signal.signal(number, signal.SIG_IGN)
 
@@ -76,16 +82,16 @@ class Interruption:
         raise KeyboardInterrupt
 
     def _swallowed(self, unraisable: Any) -> None:
-        """Python discards what is raised in a finalizer; there an interruption ends the process at once."""
+        """Handle an exception in a finalizer, which Python would discard: an interruption ends the process at once."""
         if self._code is not None and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._leave(self._code)
         self._unraisable(unraisable)
 
     def _leave(self, code: int) -> NoReturn:
-        """End the process, whatever other threads are doing, after its unfinished files are deleted."""
+        """Delete unfinished files and temporary folders, and end the process without waiting for other threads."""
         try:
             files.discard_unfinished()
-            # A thread that compiles may write into a folder while it is deleted.
+            # Another thread, such as a compilation, may write into a folder during its deletion.
             for _ in range(_SWEEPS):
                 folders = self._folders()
                 for folder in folders:
@@ -97,9 +103,9 @@ class Interruption:
             os._exit(code)
 
     def _folders(self) -> list[Path]:
-        """Temporary folders of this process that still exist."""
+        """Return the temporary folders of this process that still exist."""
         folders = [Path(self._temporary.name)] if self._temporary is not None else []
-        # Warp builds in folders that it names after the process.
+        # Warp compiles kernels in folders whose names contain the process's number.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
         if kernels:
             folders += Path(kernels).glob(f"*_p{os.getpid()}_t*")
@@ -107,22 +113,23 @@ class Interruption:
 
 
 def prepare_streams() -> None:
-    """Open standard streams that are closed; characters that an encoding lacks become question marks."""
+    """Open the null device for closed standard streams, and print characters that the encoding lacks as "?"."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
         except OSError:
-            # Otherwise a picture would be opened under this number, and messages would be written into it.
+            # The null device occupies the file descriptor of the closed stream. Otherwise the next opened file, such as
+            # a picture, would get this descriptor, and messages would be written into that file.
             os.open(os.devnull, os.O_RDWR)
         if number and getattr(sys, name) is None:
-            setattr(sys, name, open(number, "w", closefd=False))  # noqa: SIM115 (of a number, for good)
+            setattr(sys, name, open(number, "w", closefd=False))  # noqa: SIM115 (the stream is never closed)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 def flush_streams() -> bool:
-    """Flush both output streams; returns whether standard output has accepted everything."""
+    """Flush standard error and standard output, and return whether standard output was written completely."""
     is_complete = True
     for stream in (sys.stderr, sys.stdout):
         try:
@@ -131,6 +138,6 @@ def flush_streams() -> bool:
             is_complete = stream is not sys.stdout
             if not is_complete and not isinstance(error, BrokenPipeError):
                 os.write(2, f"warpdiff: standard output: {error.strerror}\n".encode())
-            # Python flushes again when it ends, and would report the failure.
+            # Python flushes the streams again when it ends. Writing to the null device prevents a second error message.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     return is_complete

@@ -1,4 +1,4 @@
-"""LRU cache: moving lights and views reuse meshes and tables."""
+"""Cache that removes its least recently used values first. Renderers keep meshes and tables in such caches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
 _T = TypeVar("_T")
-# All caches share one lock, because their calls are short. A fork waits for it.
+# One lock for all caches, because each call is short. A fork of the process waits until no thread has the lock.
 _lock = forks.lock()
 
 
@@ -25,9 +25,9 @@ class LruCache(Generic[_T]):
         """Make an empty cache.
 
         Args:
-            most: Greatest number of values.
-            most_bytes: Greatest number of bytes; the value that was added last stays, whatever its size.
-            bytes_of: Function of a value that returns its number of bytes.
+            most: Largest number of values.
+            most_bytes: Largest total size of the values [bytes]. The newest value is never removed, whatever its size.
+            bytes_of: Function that returns the size of a value [bytes].
         """
         self._most, self._most_bytes, self._bytes_of = most, most_bytes, bytes_of
         self._values: OrderedDict[Hashable, _T] = OrderedDict()
@@ -43,19 +43,23 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # `move_to_end` keeps the stored key; the caller's equal key may change later.
+                # Only the position of the key in the order of use changes. The stored key is not replaced by the
+                # caller's equal key, which the caller may modify later.
                 self._values.move_to_end(key)
             return value
 
     def put(self, key: Hashable, value: _T) -> None:
-        """Set the value of a key."""
+        """Set the value of a key, which becomes the most recently used one."""
         with _lock:
             self._values.pop(key, None)
             self._values[key] = value
             self._trim()
 
     def get_or_make(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Return the value of a key; make it if there is none. Threads that make it at once all get the first value."""
+        """Return the value of a key; make it if there is none.
+
+        Several threads may make the value at the same time. All of them get the value that was stored first.
+        """
         cached = self.get(key)
         if cached is not None:
             return cached
@@ -72,12 +76,12 @@ class LruCache(Generic[_T]):
 
     @property
     def nbytes(self) -> float:
-        """Number of bytes of all values."""
+        """Total size of all values [bytes]."""
         with _lock:
             return sum(self._bytes_of(value) for value in self._values.values())
 
     def _trim(self) -> None:
-        """Remove the least recently used values until the others are within the bounds."""
+        """Remove the least recently used values until number and size of the others are within the limits."""
         for oldest in list(self._values)[:-1]:
             if len(self._values) <= self._most and self.nbytes <= self._most_bytes:
                 break

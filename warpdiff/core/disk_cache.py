@@ -1,6 +1,7 @@
-"""Disk cache of arrays that are slow to compute, shared by processes; it deletes the least recently used files.
+"""Disk cache of arrays that are slow to compute. Several processes share it. It deletes the least recently used files.
 
-The folder is ``WARPDIFF_CACHE_DIR``, or ``warpdiff`` in the user's cache folder; an empty name disables the cache.
+The environment variable ``WARPDIFF_CACHE_DIR`` names the folder; an empty value disables the cache. Without the
+variable, the folder is ``warpdiff`` in the user's cache folder.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Limit on the size of all files together [bytes]. A larger limit only uses more disk.
+# Limit on the size of all files together [bytes]. Twice the limit only uses more disk space.
 MOST_BYTES = 2**30
-# Shortest computation whose arrays are written to a file [s]; faster ones are repeated in each process.
+# Shortest computation whose arrays are written to a file [s]. Limit: faster computations are repeated in each process.
 _LEAST_SECONDS = 0.25
-# Size of a SHA-256 [bytes].
+# Size of a SHA-256 checksum [bytes].
 _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
 _TEMPORARY = re.compile(rf"\.warpdiff-[0-9a-f]{{16}}\{_UNFINISHED}")
-# Age from which an unfinished file is taken for one of a process that was killed [s]: an hour without a write.
+# Time since the last write to an unfinished file after which the file is deleted [s]. Limit: a process that has not
+# written for an hour was probably killed.
 _STALE_SECONDS = 3600.0
 
 
@@ -43,8 +45,8 @@ class Entry(NamedTuple):
     """File of the cache.
 
     Attributes:
-        used: Time of its last use [s since 1970].
-        size: Size [bytes].
+        used: Time of the file's last use [s since 1970].
+        size: Size of the file [bytes].
         path: Path of the file.
     """
 
@@ -57,9 +59,10 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
     """Return arrays by name from the cache; without an entry, make them and store them.
 
     Args:
-        key: Identifies the arrays by its ``repr``.
-        heights: Heights that the arrays depend on.
-        make: Function that makes the arrays. Its result may depend on the versions of the package and of NumPy.
+        key: Object whose ``repr`` identifies the arrays.
+        heights: Heights that the arrays depend on, which are a part of the key.
+        make: Function that makes the arrays. Its result may depend on the code of the package and on NumPy's version,
+            which are a part of the key.
     """
     folder = cache_folder()
     if folder is None:
@@ -83,24 +86,27 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
 
 @functools.cache
 def _code_digest(*folders: Path) -> str:
-    """Hash of the code in folders, which changes with every edit that may change arrays; a version number does not."""
+    """Return a hash of all source files in folders.
+
+    The hash changes with every edit that may change arrays. A version number would not change with an edit.
+    """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Some editors mark an open file by a link whose target does not exist.
+        # Symbolic links without a target are skipped. Some editors mark an open file by such a link.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
 def cache_folder() -> Path | None:
-    """The folder of the cache; None if it is disabled or the user has no folder for it."""
+    """Return the folder of the cache; None if the cache is disabled or the user has no home folder."""
     variable = os.environ.get("WARPDIFF_CACHE_DIR")
     if variable is not None:
         return Path(variable) if variable else None
     try:
         return _user_folder()
     except RuntimeError:
-        # The user has no home folder.
+        # pathlib raises this error if the user has no home folder.
         return None
 
 
@@ -125,13 +131,13 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
         if arrays is None:
             path.unlink()
         else:
-            # The time of the last use is now; in a shared, read-only folder it cannot be set.
+            # The modification time of a file records its last use. In a read-only folder it cannot be changed.
             os.utime(path)
     return arrays
 
 
 def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
-    """Write a file: a checksum, followed by the archive."""
+    """Write arrays to a file of the cache: a checksum, followed by a NumPy archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # The checksum reveals a file that a crash of the system has left incomplete.
     with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
@@ -143,25 +149,28 @@ def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """Checksum of the key and of the archive, so that a file is never read for another key."""
+    """Return a checksum of the key and of the archive. It detects damaged files and files of another key."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 
 
 def entries(folder: Path) -> list[Entry]:
-    """Entries of a folder, the most recently used first."""
+    """Return the entries of the cache in a folder, the most recently used first."""
     return sorted(_matching_files(folder, _NAME), reverse=True)
 
 
 def trim(folder: Path, most_bytes: int) -> None:
-    """Delete the least recently used files until the others fit, and unfinished files of processes that were killed."""
+    """Delete the least recently used files until the others have at most ``most_bytes`` in total.
+
+    Old unfinished files, of processes that were killed, are deleted, too.
+    """
     total = 0
     for _, size, path in entries(folder):
         total += size
         if total > most_bytes:
             path.unlink(missing_ok=True)
     for changed, _, path in _matching_files(folder, _TEMPORARY):
-        # Other processes may still be writing newer ones.
+        # Newer unfinished files are not deleted, because other processes may still be writing them.
         if changed < time.time() - _STALE_SECONDS:
             path.unlink(missing_ok=True)
 
@@ -173,7 +182,7 @@ def clear(folder: Path) -> None:
 
 
 def _matching_files(folder: Path, name: re.Pattern[str]) -> list[Entry]:
-    """Files of a folder whose names match a pattern; other processes may delete some meanwhile."""
+    """Return the files of a folder whose names match a pattern. Files that other processes delete are skipped."""
     files = []
     with contextlib.suppress(FileNotFoundError):
         for path in folder.iterdir():

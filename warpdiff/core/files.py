@@ -1,4 +1,4 @@
-"""Files: atomic writes under a temporary name, and reads whose errors name the file."""
+"""Reading and writing of files. A write first makes a temporary file, and errors name the file."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ _unfinished: set[Path] = set()
 
 @contextlib.contextmanager
 def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Iterator[Path]:
-    """Provide an empty file in the folder of ``target``, which replaces ``target`` at the end of the context.
+    """Provide an empty temporary file, which replaces the file ``target`` at the end of the context.
 
-    An error in the context removes the temporary file and leaves the old one unchanged.
+    If the context ends with an error, the temporary file is deleted and ``target`` is unchanged.
 
     Args:
-        target: File to make or replace.
-        suffix: End of the temporary file's name.
-        durable: Whether to wait until the disk holds the new file before it replaces the old one.
+        target: File to make or replace. The temporary file is in the same folder.
+        suffix: Suffix of the temporary file's name.
+        durable: Whether to wait until the new file is on the disk before it replaces the old one.
     """
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
     try:
-        # `os.open` applies the umask of the process; reading the umask would change it for other threads.
+        # `os.open` sets the file's permissions by the umask of the process. Python could read the umask only by
+        # changing it for a moment, which would affect other threads.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # File systems with delayed allocation report only here that the disk is full.
+            # Some file systems allocate space late, and report only in `fsync` that the disk is full.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)
@@ -57,14 +58,14 @@ def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, comp
 
 
 def discard_unfinished() -> None:
-    """Delete the unfinished files of this process; for a process that ends without leaving its contexts."""
+    """Delete the temporary files of all active :func:`atomic_write` contexts, before the process ends abruptly."""
     for temporary in tuple(_unfinished):
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
 def check_folder(folder: Path, name: str) -> None:
-    """Refuse a folder that does not exist or is not writable; ``name`` is the argument for the message."""
+    """Raise an error if a folder does not exist or is not writable. The error names the argument ``name``."""
     if not folder.is_dir():
         raise marked(FileNotFoundError, f"{ref(name)}: the folder {str(folder)!r} does not exist; create it first")
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -79,7 +80,9 @@ def check_file(file: Path) -> None:
 
 @contextlib.contextmanager
 def naming_file(file: Path) -> Iterator[None]:
-    """Check that a file, the argument ``path``, exists, and name it in errors of the system.
+    """Context that reads a file. It checks that the file exists, and adds its name to errors of the operating system.
+
+    The errors name the argument ``path``.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -95,7 +98,12 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Name the file in errors of an argument whose value was read from it; the file is the argument ``path``."""
+    """Context for checking a value that was read from a file. Its errors name the file instead of the argument.
+
+    Args:
+        argument: Argument that the errors in the context name.
+        file: File that the value was read from, the argument ``path``.
+    """
     try:
         yield
     except ArgumentValueError as error:

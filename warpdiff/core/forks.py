@@ -1,4 +1,7 @@
-"""Fork safety: a fork waits for locks and imports of other threads, because a child process has none of them."""
+"""Fork safety: a fork of the process waits until other threads have released locks and finished imports.
+
+A child process has none of its parent's other threads. Locks of these threads would never be released in it.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,32 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
-# Packages that are imported at first use, so that another thread may be importing one during a fork.
+# Packages that are imported at first use and slowly. Another thread may be importing one of them during a fork.
 _SLOW_PACKAGES = {"OpenImageIO", "PIL", "colour", "numpy", "scipy", "trimesh", "warp", "warpdiff"}
 REMEDY = "start processes with multiprocessing.get_context('spawn'), or fork where no other thread compiles or renders"
 
 
 def at_fork(**functions: Callable[[], object]) -> None:
-    """Call ``os.register_at_fork`` with these arguments, on systems that can fork."""
+    """Register functions by ``os.register_at_fork``, on operating systems that can fork a process."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(**functions)
 
 
 def lock() -> threading.RLock:
-    """Return a lock that a fork waits for. A thread that has it must not take another lock or import a module."""
+    """Return a lock that a fork waits for.
+
+    A thread that has acquired the lock must not acquire another lock or import a module, because this may deadlock.
+    """
     result = threading.RLock()
     at_fork(before=result.acquire, after_in_parent=result.release, after_in_child=result.release)
     return result
 
 
 class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after the standard library's)
-    """Cached property without the lock that Python 3.11 shares between all objects; two threads may both compute it."""
+    """Cached property without a lock. Two threads may compute the value at the same time.
+
+    The cached property of Python 3.11 has one lock for all objects of a class.
+    """
 
     def __init__(self, compute: Callable[..., _T]) -> None:
         super().__init__(compute)
@@ -40,10 +49,10 @@ class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after
 
 
 def importing() -> list[str]:
-    """Return the slow modules that other threads are importing; a child process would wait for them for ever.
+    """Return the names of the slow modules that other threads are importing at the moment.
 
-    Python documents no way to find them. If a Python version stores its import locks elsewhere, the list is empty, and
-    a fork during another thread's imports has the same risk as without this package.
+    A child process would wait forever for the locks of these imports. Python has no documented function that lists
+    them. If a future Python stores its import locks elsewhere, the list is empty, and forks during imports may hang.
     """
     try:
         locks = list(vars(importlib)["_bootstrap"]._module_locks.items())
@@ -61,7 +70,7 @@ def finish_imports() -> None:
     """Wait until no other thread is importing a slow module."""
     while names := importing():
         for name in names:
-            # If the import fails, the other thread raises the error.
+            # Importing the module waits for the other thread. If the import fails, the other thread raises the error.
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
 

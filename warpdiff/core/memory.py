@@ -17,26 +17,27 @@ if TYPE_CHECKING:
 # Limit on the number of elements of an array, because kernels index arrays by an int32; a larger index overflows.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Limit of a control group that means "no limit" [bytes]: more memory than any machine has.
+# Limits of a control group from this number on mean "no limit" [bytes]. Limit: no machine has so much memory.
 _NO_LIMIT = 2**60
-# Messages of failed allocations: NumPy raises a MemoryError, Warp a RuntimeError.
+# Pattern of the messages of failed allocations. NumPy raises a MemoryError, Warp a RuntimeError.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# Memory at the peak while a sample field or body is made [bytes per height sample, bytes per face], as measured.
-# Doubled values refuse requests that would fit.
+# Peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per face], as
+# measured. Twice the values refuse requests that would fit.
 _BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
 
 def require_memory(needed: float, what: str, remedy: str) -> None:
-    """Refuse a request that requires more bytes than are free.
+    """Raise a ``MemoryError`` if a request requires more memory than is free.
 
     Args:
-        needed: Estimated number of bytes.
+        needed: Estimated memory [bytes].
         what: Noun phrase that names the object, for the message.
-        remedy: Advice; ``{share}`` in it becomes the share that would fit, ``{side}`` the square root of that share.
+        remedy: Advice for the message. ``{share}`` in it is replaced by the fraction of the request that would fit, and
+            ``{side}`` by the square root of this fraction.
 
     Raises:
-        MemoryError: Fewer bytes are free.
+        MemoryError: Less memory is free.
     """
     free = available()
     if needed > free:
@@ -48,17 +49,17 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
 
 
 def require_samples(ny: int, nx: int, remedy: str) -> None:
-    """Refuse to make a height field that does not fit into memory; see `require_memory`."""
+    """Raise a ``MemoryError`` if a height field of ny × nx samples does not fit into memory; see `require_memory`."""
     require_memory(_BYTES_PER_SAMPLE * ny * nx, f"a field of {ny} × {nx} samples", remedy)
 
 
 def require_faces(count: int, remedy: str) -> None:
-    """Refuse to make a mesh that does not fit into memory; see `require_memory`."""
+    """Raise a ``MemoryError`` if a mesh of ``count`` faces does not fit into memory; see `require_memory`."""
     require_memory(_BYTES_PER_FACE * count, f"a mesh of {count} faces", remedy)
 
 
 def available() -> float:
-    """Return the number of bytes that this process can still allocate; infinite if the system does not report it."""
+    """Return the memory that this process can still allocate [bytes]; infinite if the system does not report it."""
     free = math.inf
     try:
         fields = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
@@ -77,7 +78,7 @@ def available() -> float:
     for limit, usage, statistics in _limits_of_groups():
         with contextlib.suppress(OSError, ValueError):
             numbers = dict(line.split() for line in statistics.read_text().splitlines())
-            # The kernel frees its cache of inactive files when memory is needed.
+            # Memory of cached inactive files counts as free, because the operating system releases it when needed.
             cached_files = int(numbers.get("total_inactive_file", numbers.get("inactive_file", "0")))
             free = min(free, float(limit - int(usage.read_text()) + cached_files))
     return free
@@ -85,10 +86,11 @@ def available() -> float:
 
 @functools.cache
 def _limits_of_groups() -> list[tuple[int, Path, Path]]:
-    """Memory limits [bytes] of the control groups of this process, as in a container, at the first call.
+    """Return the memory limits of the Linux control groups of this process, such as those of a container.
 
-    Each limit comes with the group's files of usage and of statistics. The documentation of the Linux kernel describes
-    both versions: cgroup-v2.rst and cgroup-v1/memory.rst.
+    Each limit [bytes] is returned with the paths of the group's files of memory usage and statistics. The limits are
+    read at the first call. The documentation of the Linux kernel describes both versions of the files: cgroup-v2.rst
+    and cgroup-v1/memory.rst.
     """
     limits = []
     with contextlib.suppress(OSError):
@@ -110,7 +112,7 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
 
 @contextlib.contextmanager
 def as_memory_error(what: str, remedy: str) -> Iterator[None]:
-    """Turn failed allocations of NumPy and Warp in the context into a ``MemoryError`` like that of `require_memory`.
+    """Context that converts failed allocations of NumPy and Warp into a ``MemoryError`` with a remedy.
 
     A check before work starts is not enough: other processes may allocate memory meanwhile, and the address space may
     be smaller than the free memory.
@@ -127,7 +129,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:
         refused = _REFUSED.search(str(error))
         if refused is None and (error.args or not isinstance(error, MemoryError)):
-            # This is another error, or one that has a full message.
+            # The error is not a failed allocation, or it is a ``MemoryError`` that already has a remedy.
             raise
         raise marked(MemoryError, _description(refused, what, remedy)) from error
 
@@ -135,7 +137,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
 def _description(refused: re.Match[str] | None, what: str, remedy: str) -> str:
     free = f"{max(available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
     if refused is None:
-        # An allocation by Python itself has no message.
+        # The MemoryError of Python's own allocations has no message.
         return f"{what} requires more memory than is free; {free}"
     size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
     if refused["device"] in (None, "cpu"):

@@ -1,4 +1,4 @@
-"""OpenImageIO and forks: before a fork its calls finish, because they use locks, and its threads end."""
+"""Fork-safe use of OpenImageIO. A fork of the process waits until the library's calls and threads have ended."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Limit on the time that a fork waits for calls of other threads [s]; after it, the child process refuses calls.
+# Longest time that a fork waits for OpenImageIO calls of other threads [s]. After it the fork continues, and the child
+# process cannot use the library. Limit: twice the time delays such forks by another second.
 _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """Counter of the contexts that use the library, with the thread counts to restore after them."""
+    """State of the library: number of active contexts that use it, and its thread counts outside of these contexts."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -28,11 +29,11 @@ class _Library:
 
     @contextlib.contextmanager
     def in_use(self) -> Iterator[Any]:
-        """Provide the library, which reads and writes EXR files on the calling thread within the context.
+        """Provide the library in a context. Within it, EXR files are read and written on the calling thread.
 
-        A child process would wait for ever for OpenEXR's threads, which exist in the parent only. It would also wait
-        for locks that another thread had, such as those of OpenColorIO. A fork therefore waits up to a second for the
-        end of all contexts.
+        A child process would wait forever for OpenEXR's threads, which exist only in the parent. It would also wait for
+        locks that another thread had acquired, such as those of OpenColorIO. A fork therefore waits up to a second for
+        the end of all contexts.
 
         Raises:
             RuntimeError: This process was forked while another thread used the library.
@@ -63,7 +64,7 @@ class _Library:
         self._forking = True
         self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
-        # While another thread imports it, the module has no such function yet.
+        # If another thread is importing the module at the moment, its functions do not exist yet.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set_threads(1)
 

@@ -36,17 +36,17 @@ class Option:
     """One option: its name, type, range, unit, default and meaning.
 
     Attributes:
-        name: The name in Python.
-        kind: The type. ``"choices"`` is a tuple of choices, ``"pair"`` is one number or a pair (y, x), ``"numbers"``
-            and ``"integers"`` are tuples of ``length`` elements, ``"object"`` is anything else.
-        default: The default value; ``REQUIRED`` if there is none.
-        help: The meaning, in plain text.
-        choices: The values of a ``"choice"``, without American spellings.
-        length: The length of a tuple; 0 for other kinds.
+        name: Name of the option in Python.
+        kind: Type of the option. ``"choices"`` is a tuple of choices, ``"pair"`` is one number or a pair (y, x),
+            ``"numbers"`` and ``"integers"`` are tuples of ``length`` elements, ``"object"`` is anything else.
+        default: Default value; ``REQUIRED`` if there is none.
+        help: Meaning of the option, in plain text.
+        choices: Accepted values of a ``"choice"``, without American spellings.
+        length: Number of elements of a tuple; 0 for other kinds.
         gt: Exclusive lower bound, or None.
         ge: Inclusive lower bound, or None.
         le: Inclusive upper bound, or None.
-        unit: The unit; empty if it has none.
+        unit: Unit of the value; empty if it has none.
         optional: Whether None is accepted.
         instance_of: Class of the package that an ``"object"`` must be an instance of; None accepts any object.
     """
@@ -66,16 +66,16 @@ class Option:
 
     @property
     def dashed(self) -> str:
-        """The name with dashes, as on the command line."""
+        """Name of the option with dashes, as on the command line."""
         return self.name.replace("_", "-")
 
     @property
     def range(self) -> str:
-        """The accepted range, such as ``"1e-05 to 0.5"``; empty if there is none."""
+        """Accepted range of the value in words, such as ``"more than 0 and at most 0.5"``; empty if there is none."""
         return validation.range_text(self.gt, self.ge, self.le)
 
     def check(self, value: object) -> Any:
-        """Return a value converted to the type of this option; raise an error that names the option otherwise."""
+        """Return a value converted to the type of this option; raise an error that names the option if it is wrong."""
         if value is None and self.optional:
             return None
         return getattr(self, f"_check_{self.kind}")(value)
@@ -148,7 +148,7 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
         elif origin in (typing.Union, types.UnionType) and type(None) in arguments:
             optional = True
             rest = tuple(argument for argument in arguments if argument is not type(None))
-            annotation = rest[0] if len(rest) == 1 else typing.Union[rest]  # noqa: UP007 (a tuple of them)
+            annotation = rest[0] if len(rest) == 1 else typing.Union[rest]  # noqa: UP007 (the members are a tuple)
         elif origin in (typing.Union, types.UnionType):
             annotation = _Pair if set(arguments) == {float, tuple[float, float]} else object
         else:
@@ -178,7 +178,7 @@ def _choices_of(literal: Any) -> tuple[str | int, ...]:
 
 
 class _Anything(type):
-    """Give a class every attribute, so that it replaces a module that only type checkers import."""
+    """Metaclass of a class that has every attribute. Such a class replaces modules that only type checkers import."""
 
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("_"):
@@ -187,11 +187,11 @@ class _Anything(type):
 
 
 class _Pair:
-    """Placeholder for ``float | tuple[float, float]``."""
+    """Placeholder for the annotation ``float | tuple[float, float]``."""
 
 
 class _Unknown(metaclass=_Anything):
-    """Placeholder for a type that only type checkers import."""
+    """Placeholder for a type that only type checkers import, and for its attributes and subscripts."""
 
     def __class_getitem__(cls, _: object) -> type[_Unknown]:
         return cls
@@ -215,7 +215,7 @@ _SECTION = re.compile(r"^( *)(?:Args|Attributes):\n((?:\1 {4}.*\n|\s*\n)*)", re.
 
 
 def documented(owner: type | Callable[..., object]) -> dict[str, str]:
-    """Return the entries of the ``Args:`` and ``Attributes:`` sections of a docstring, by name, each in one line."""
+    """Return the entries of the ``Args:`` and ``Attributes:`` sections of a docstring as one-line texts, by name."""
     texts: dict[str, str] = {}
     for base in reversed(owner.__mro__ if isinstance(owner, type) else (owner,)):
         for section in _SECTION.finditer(inspect.cleandoc(base.__doc__ or "") + "\n"):
@@ -249,7 +249,10 @@ def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
 
 
 class Checked:
-    """Base of frozen dataclasses that check every field by its description; a class adds rules for several fields."""
+    """Base class of frozen dataclasses that check each field by its description.
+
+    A subclass may add rules that concern several fields.
+    """
 
     def __post_init__(self) -> None:
         owner: Callable[..., object] = type(self)

@@ -1,4 +1,4 @@
-"""Progress of long work: a callable of the caller, or a progress bar."""
+"""Progress of long computations, which is reported to a callable of the caller or shown as a progress bar."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from warpdiff.core.wording import ArgumentTypeError, ref
 
 Progress = Callable[[float], None] | bool | None
-# Shortest work that shows a bar [s]. If doubled, a user waits two seconds without a sign of progress.
+# Time after which a progress bar appears [s]. With twice the value, a user waits 2 s without a sign of progress.
 _DELAY_S = 1.0
 
 
 class _Bar:
-    """Progress bar by tqdm, over the finished share of the work."""
+    """Progress bar of the package tqdm. A call with the finished fraction of the work updates the bar."""
 
     def __init__(self, name: str) -> None:
         if "ipykernel" in sys.modules:
@@ -34,7 +34,12 @@ class _Bar:
 
 
 def reporter(progress: Progress, name: str) -> Callable[[float], None] | None:
-    """Return a callable that reports progress: ``progress`` itself, a bar for True, or None for None and False."""
+    """Return a callable that reports progress, or None.
+
+    Args:
+        progress: Callable, which is returned unchanged; True makes a progress bar; None and False report nothing.
+        name: Label of the progress bar.
+    """
     if isinstance(progress, bool):
         return _Bar(name) if progress else None
     if progress is not None and not callable(progress):

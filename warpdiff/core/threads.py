@@ -1,8 +1,8 @@
 """Threads: parallel loops, and linear algebra of NumPy and SciPy on one thread.
 
-Linear algebra on several threads has three drawbacks. Idle threads of OpenBLAS spin and take cores from compilers and
-from kernels. The rounding of a sum depends on the number of threads. A child process waits for ever if it was forked
-while OpenBLAS divided another thread's call among its threads.
+Linear algebra on several threads has three drawbacks. Idle threads of OpenBLAS wait actively and use cores that
+compilers and kernels need. The rounding of a sum depends on the number of threads. A child process hangs if it was
+forked during a multi-threaded OpenBLAS call of another thread.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _T = TypeVar("_T")
 
 
 class _None:
-    """Marks the end of the items."""
+    """Type of the object that marks the end of the items, because None may be an item."""
 
 
 _NONE = _None()
 
 
 class _Work(Generic[_T]):
-    """Loop over items on several threads; a free thread takes the next item."""
+    """Loop over items on several threads. A thread that has finished an item continues with the next one."""
 
     def __init__(
         self, work: Callable[[_T], None], items: Sequence[_T], progress: Callable[[float], None] | None
@@ -48,11 +48,11 @@ class _Work(Generic[_T]):
         self._futures: list[Future[None]] = []
 
     def finish(self, threads: int) -> None:
-        """Run the loop on this thread and ``threads`` − 1 others; the first error ends it and is raised."""
+        """Run the loop on this thread and at most ``threads`` − 1 others. The first error ends the loop."""
         others = min(threads, self._count) - 1
-        # If the pool has too few threads, this loop gets threads of its own, which end with it.
+        # If the loop needs more threads than the shared pool has, it gets its own pool, which ends with the loop.
         own = ThreadPoolExecutor(others) if others > cores() else None
-        # Without memory for another thread, the loop continues on fewer threads.
+        # If the system cannot start another thread, the loop continues on fewer threads.
         with contextlib.suppress(RuntimeError):
             for _ in range(others):
                 self._futures.append((own or _pool()).submit(self._run))
@@ -60,7 +60,8 @@ class _Work(Generic[_T]):
             self._run()
         finally:
             if not self._is_cut_off:
-                # Futures that have not started are cancelled: the threads of the pool may be waiting for this thread.
+                # Tasks that have not started are cancelled. Waiting for them could deadlock, because all threads of the
+                # pool may be waiting for this thread.
                 self._futures = [future for future in self._futures if not future.cancel()]
                 wait(self._futures)
                 if own is not None:
@@ -71,7 +72,7 @@ class _Work(Generic[_T]):
             future.result()
 
     def _run(self) -> None:
-        """Take items until none is left."""
+        """Process items until none is left."""
         try:
             while not self._is_cut_off:
                 with self._lock:
@@ -81,7 +82,7 @@ class _Work(Generic[_T]):
                 self._work(item)
                 self._report()
         except BaseException:
-            # Items that no thread has started are dropped.
+            # After an error, items that no thread has started are not processed.
             self._remaining = iter(())
             raise
 
@@ -94,7 +95,7 @@ class _Work(Generic[_T]):
 
     @property
     def _is_cut_off(self) -> bool:
-        """Whether this process was forked during the loop; the loop's other threads exist in the parent only."""
+        """Whether this is a child process that was forked during the loop, without the loop's other threads."""
         return bool(self._futures) and os.getpid() != self._process
 
 
@@ -103,20 +104,30 @@ def parallel_for(
 ) -> None:
     """Call ``work`` for each item, on at most ``threads`` threads including the calling one.
 
-    A free thread takes the next item. ``progress`` is called with the finished share of the items.
+    A thread that has finished an item continues with the next one. ``progress`` is called with the finished fraction of
+    the items.
     """
     _Work(work, items, progress).finish(threads)
 
 
 def subprogress(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
-    """Return a function that reports progress of a part of the work, from the share ``begin`` to the share ``end``."""
+    """Return a callable that reports the progress of one part of the work, or None if ``progress`` is None.
+
+    Args:
+        progress: Callable that gets the finished fraction of the whole work, or None.
+        begin: Finished fraction of the whole work at the begin of the part.
+        end: Finished fraction of the whole work at the end of the part.
+    """
     if progress is None:
         return None
     return lambda share: progress(begin + (end - begin) * share)
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
-    """Yield slices of decreasing size, so that all threads finish at about the same time."""
+    """Yield consecutive ranges that cover 0 to ``size``, of decreasing length from ``most`` to ``least``.
+
+    With short ranges at the end, all threads finish at about the same time.
+    """
     first = 0
     while first < size:
         end = min(first + min(max((size - first) // (2 * threads), least), most), size)
@@ -125,21 +136,24 @@ def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[ran
 
 
 def cores() -> int:
-    """The number of cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    """Thread pool for the whole process, one thread per core; starting threads takes as long as a small launch."""
+    """Return the thread pool of the process, with one thread per core.
+
+    The pool is reused, because starting threads requires as much time as launching a small kernel.
+    """
     return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
 
 
-# A child process has no threads of its parent, so it makes a new pool.
+# A child process does not have its parent's threads and must make a new pool.
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
-# Number of active contexts; thread counts of the libraries before the first of them.
+# Number of active `single_threaded_blas` contexts, and the thread counts of the libraries before the first context.
 _contexts = 0
 _former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()
@@ -147,8 +161,8 @@ _lock = forks.lock()
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Restrict linear algebra to one thread within the context."""
-    global _contexts  # noqa: PLW0603 (of one process, under a lock)
+    """Restrict the linear algebra of NumPy and SciPy to one thread within the context."""
+    global _contexts  # noqa: PLW0603 (a counter of the process, changed under a lock)
     libraries = _libraries("scipy.linalg" in sys.modules)
     with _lock:
         own = [(library, library.num_threads) for library in libraries if _has_count_per_thread(library)]
@@ -173,7 +187,11 @@ def _has_count_per_thread(library: LibController) -> bool:
 
 
 def _set(library: LibController, number: int) -> None:
-    """Set the number of threads; threadpoolctl would otherwise refuse all threads but the first that set it."""
+    """Set the number of threads of a library.
+
+    threadpoolctl accepts settings only from the first thread that has made one. Clearing the record of this thread
+    allows settings from any thread.
+    """
     if hasattr(library, "clear_controlling_thread"):
         library.clear_controlling_thread(force=True)
     library.set_num_threads(number)
@@ -187,8 +205,8 @@ def _restore(libraries: Iterable[tuple[LibController, int]]) -> None:
 
 
 def _end() -> None:
-    """Restore the former thread counts, after the last context or in a child process."""
-    global _contexts  # noqa: PLW0603 (of one process, under a lock)
+    """Restore the thread counts of linear algebra, after the last context or in a forked child process."""
+    global _contexts  # noqa: PLW0603 (a counter of the process, changed under a lock)
     _restore(_former.values())
     _former.clear()
     _contexts = 0
@@ -199,5 +217,9 @@ forks.at_fork(after_in_child=_end)
 
 @functools.cache
 def _libraries(_with_scipy: bool) -> list[LibController]:
-    """Loaded libraries of linear algebra. The argument separates lists before and after SciPy loads its own."""
+    """Return the loaded libraries of linear algebra.
+
+    The argument is only a key of the cache: it separates the list before SciPy has loaded its own library from the list
+    after.
+    """
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _Choice = TypeVar("_Choice", bound=str | int)
-# Limits of magnitudes in any unit. Values beyond have no physical meaning, and their powers overflow or vanish.
+# Largest and smallest magnitude of a number, in any unit. Limit: powers of numbers beyond overflow or vanish.
 MOST, LEAST = 1e15, 1e-15
 # Limit on integers, the largest int64; larger ones overflow.
 MOST_COUNT = 2**63 - 1
@@ -27,14 +27,19 @@ MOST_COUNT = 2**63 - 1
 def finite_array(
     value: object, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
 ) -> NDArray[np.float64]:
-    """Return ``value`` as a new float64 array; refuse values that are not numeric, not finite, or of another rank.
+    """Return a value as a new float64 array after checks. Masked elements become NaN.
 
-    Masked elements become NaN. With ``gaps``, NaN is accepted. Magnitudes above ``most`` are refused.
+    Args:
+        value: Array of real numbers.
+        name: Name of the argument for error messages.
+        ndim: Required number of dimensions; None accepts any.
+        gaps: Whether NaN is accepted.
+        most: Largest accepted magnitude.
     """
     try:
         numbers = np.asarray(value)
     except (TypeError, ValueError):
-        numbers = None  # the rows have different lengths
+        numbers = None  # NumPy raises an error for rows of different lengths
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     array = np.array(numbers, dtype=np.float64)
@@ -64,14 +69,14 @@ def range_text(above: float | None, least: float | None, most: float | None) -> 
 
 
 def described(value: object) -> str:
-    """Return type and value of an argument of the wrong type, such as ``str 'low'``."""
+    """Return a text with type and value of an argument, such as ``str 'low'``, for messages about a wrong type."""
     return type(value).__name__ if value is None else f"{type(value).__name__} {value!r:.40}"
 
 
 def number(
     value: object, name: str, *, above: float = -math.inf, least: float = -math.inf, most: float = MOST
 ) -> float:
-    """Return ``value`` as a finite float with ``above`` < value, ``least`` <= value <= ``most``."""
+    """Return ``value`` as a finite float that fulfils ``above`` < value and ``least`` <= value <= ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ArgumentTypeError(f"{ref(name)} must be a number, got {described(value)}")
     try:
@@ -90,7 +95,7 @@ def number(
 
 
 def positive(value: object, name: str, *, most: float = MOST) -> float:
-    """Return ``value`` as a finite float > 0, at least ``LEAST``."""
+    """Return ``value`` as a positive finite float from ``LEAST`` (1e-15) to ``most``."""
     result = number(value, name, above=0.0, most=most)
     if result < LEAST:
         raise ArgumentValueError(f"{ref(name)} must be at least {LEAST:g}, got {result:g}")
@@ -161,7 +166,7 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
 
 
 def light_and_view(to_light: object, to_view: object) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Return both arguments as unit vectors of shape (n, 3), and whether both were one direction."""
+    """Return the directions to light and viewer as unit vectors (n, 3), and whether both were single vectors."""
     lights, one_light = directions(to_light, "to_light")
     views, one_view = directions(to_view, "to_view")
     if len(lights) != len(views) and 1 not in (len(lights), len(views)):
@@ -182,26 +187,26 @@ def choice(value: object, name: str, options: Collection[_Choice]) -> _Choice:
 
 
 def path(value: object, name: str) -> Path:
-    """Return ``value`` as a path; refuse other types and names that the system does not accept."""
+    """Return ``value`` as a path; raise an error for other types and for names that the system does not accept."""
     if not isinstance(value, (str, os.PathLike)):
         raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
     try:
         os.lstat(value)
     except (ValueError, OSError) as error:
-        # The system refuses NUL characters, unpaired surrogates and names of thousands of characters.
+        # The operating system refuses NUL characters, unpaired surrogates and names of thousands of characters.
         if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
             raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
     return Path(os.fsdecode(value))
 
 
 def instance(value: object, kind: type, name: str, *, optional: bool = False) -> None:
-    """Refuse values that are not instances of ``kind``, a class of the package; ``optional`` accepts None."""
+    """Raise an error if a value is not an instance of ``kind``, a class of the package; ``optional`` accepts None."""
     if not isinstance(value, kind) and not (optional and value is None):
         raise ArgumentTypeError(f"{ref(name)} must be a warpdiff.{kind.__name__}, got {type(value).__name__}")
 
 
 def flag(value: object, name: str) -> bool:
-    """Return ``value`` as a bool; refuse other types, because a string such as ``"no"`` would count as true."""
+    """Return ``value`` as a bool. Other types raise an error, because a string such as ``"no"`` would count as true."""
     if not isinstance(value, (bool, np.bool_)):
         raise ArgumentTypeError(f"{ref(name)} must be True or False, got {value!r}")
     return bool(value)

@@ -1,4 +1,4 @@
-"""Warnings that name the line of the caller outside the package."""
+"""Warnings that refer to the user's line of code, outside of the package."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from warpdiff.core.wording import WarpdiffWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-# Modules whose frames are skipped to find the caller; contextlib calls decorated functions of the package.
+# Modules whose stack frames are skipped to find the user's code. contextlib calls decorated functions of the package.
 _INNER = (__name__.partition(".")[0], "contextlib")
 
 
 def warn(message: str) -> None:
-    """Warn at the first line outside the package; the message marks arguments by ``wording.ref``."""
+    """Warn with a reference to the innermost line of code outside of the package.
+
+    Args:
+        message: Text in which ``wording.ref`` has marked the names of arguments.
+    """
     level = 1
     frame: FrameType | None = sys._getframe(1)
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:

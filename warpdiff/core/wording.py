@@ -1,8 +1,8 @@
-"""Errors and warnings whose messages mark the names of arguments, so that each front end prints its own names.
+"""Errors and warnings with marked names of arguments, so that Python, command line and viewer print different names.
 
-A message marks each name of an argument by :func:`ref`. Python prints ``tolerance``, the command line ``--tolerance``,
-the viewer the label of its control. The marks are characters of Unicode's private use area. Messages show values of
-users by ``repr``, which escapes such characters.
+The function :func:`ref` marks the name of an argument in a message. Python prints ``tolerance``, the command line
+prints ``--tolerance``, and the viewer prints the label of its control. The marks are characters of Unicode's private
+use area. Messages contain the user's values as ``repr``, which escapes such characters.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ def ref(name: str, value: object = None) -> str:
 
 
 def python_word(name: str, value: str | None) -> str:
-    """Write an argument as Python does: ``tolerance``, or ``method='auto'``."""
+    """Return an argument in Python notation: ``tolerance``, or ``method='auto'``."""
     return name if value is None else f"{name}={value}"
 
 
 def spelled(message: object, word: Callable[[str, str | None], str] = python_word) -> str:
-    """Write a message, an error or a warning with each argument's name as ``word(name, value)``."""
+    """Return the text of a message, an error or a warning; ``word(name, value)`` spells each marked argument."""
     text = getattr(message, "marked", None) or str(message)
     return _MARKED.sub(lambda match: word(match[1], match[2]), text)
 
 
 class _MarkedError(Exception):
-    """Error with a message in two forms: plain, and with marked arguments as ``marked``."""
+    """Error with two forms of its message: a plain text, and the attribute ``marked`` with marked arguments."""
 
     def __init__(self, marked: str = "") -> None:
         self.marked = marked
@@ -55,11 +55,11 @@ class _MarkedError(Exception):
 
 
 class ArgumentValueError(_MarkedError, ValueError):
-    """Raised for an argument whose value is not accepted."""
+    """Error that is raised if the value of an argument is not accepted."""
 
 
 class ArgumentTypeError(_MarkedError, TypeError):
-    """Raised for an argument whose type is not accepted."""
+    """Error that is raised if the type of an argument is not accepted."""
 
 
 def marked(kind: type[_E], message: str) -> _E:
@@ -70,7 +70,7 @@ def marked(kind: type[_E], message: str) -> _E:
 
 
 class ToleranceError(ArgumentValueError):
-    """Raised if a tolerance cannot be met; the message names the cause and the remedy.
+    """Error that is raised if a tolerance cannot be met. The message names the cause and the remedy.
 
     Examples:
         >>> import warpdiff as wd
@@ -99,7 +99,7 @@ class WarpdiffWarning(_MarkedError, UserWarning):
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Rename arguments in errors that the context raises, for example ``path`` to ``--environment``."""
+    """Context that renames arguments in the messages of its errors, for example ``path`` to ``--environment``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]

@@ -1,7 +1,7 @@
-"""Published measurements that are downloaded on demand, public as ``wd.datasets``; no Warp.
+"""Published measurements that are downloaded on demand, public as ``wd.datasets``. The package does not import Warp.
 
 In: the name of a data set.
-Out: a ``HeightField``, as measured. A folder named by ``WARPDIFF_DATA`` is searched before anything is downloaded.
+Out: a ``HeightField`` as measured. The folder that ``WARPDIFF_DATA`` names is searched before a download.
 
 Examples:
     >>> import warpdiff as wd

@@ -1,4 +1,4 @@
-"""Data sets as height fields, from the user's folder or from the network, by pooch."""
+"""Data sets as height fields, from the user's folder or from the network. The package pooch downloads them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from warpdiff.datasets.registry import Dataset
 
-# Folder of the downloads within the folder of the disk cache, which is trimmed and cleared without them.
+# Subfolder of the disk cache's folder for downloads. Trimming and clearing of the cache does not delete them.
 _SUBFOLDER = "datasets"
-# Pillow's names of images with channels of 8 bit that are heights: grey and colour, without and with alpha.
+# Accepted image modes, by Pillow's names: 8 bits per channel, grey or colour, without or with alpha.
 _MODES = ("L", "LA", "RGB", "RGBA")
 
 
@@ -71,7 +71,11 @@ def fetch(name: str) -> HeightField:
 
 
 def read(dataset: Dataset, path: str | os.PathLike[str]) -> HeightField:
-    """Read the file of a data set, whose first channel has the heights; raise ``ValueError`` for another image."""
+    """Return the height field in the image file of a data set. The first channel contains the heights.
+
+    Raises:
+        ValueError: The file is not an image with 8 bits per channel.
+    """
     import PIL.Image
 
     try:
@@ -102,7 +106,7 @@ def _local_file(dataset: Dataset) -> Path | None:
 
 
 def _download(dataset: Dataset, folder: Path) -> Path:
-    """Return the file in the folder, with its checksum verified; download it if it is absent or damaged."""
+    """Return the path of a data set's file in a folder. Download the file if it is absent or has a wrong checksum."""
     try:
         import pooch
     except ImportError as error:
@@ -114,13 +118,13 @@ def _download(dataset: Dataset, folder: Path) -> Path:
         return Path(pooch.retrieve(dataset.address, f"sha256:{dataset.sha256}", dataset.local_name, folder))
     except PermissionError as error:
         raise PermissionError(f"the folder {str(folder)!r} is not writable ({error}); set WARPDIFF_CACHE_DIR") from None
-    # The errors of the network are OSErrors; pooch raises ValueError for another checksum.
+    # Network errors are OSErrors. pooch raises ValueError for a wrong checksum.
     except (OSError, ValueError) as error:
         raise OSError(f"{dataset.local_name} could not be downloaded ({error}); {_remedy(dataset)}") from None
 
 
 def _remedy(dataset: Dataset) -> str:
-    """Return what to download by other means, and where to put it."""
+    """Return the remedy for error messages: the address of the file, and the folder for a manual download."""
     folder = os.environ.get("WARPDIFF_DATA")
     place = f"in the folder {folder!r}" if folder else "in a folder, and set WARPDIFF_DATA to that folder"
     return (

@@ -12,14 +12,14 @@ class Dataset:
     """Source and scale of a published height field.
 
     Attributes:
-        title: What was measured.
-        address: Web address of the file, of a fixed version.
-        licence: Licence, and who measured the surface.
+        title: Measured surface and instrument.
+        address: Web address of a fixed version of the file.
+        licence: Licence of the file, and laboratory that measured the surface.
         sha256: SHA-256 checksum of the file, in hexadecimal digits.
         size_bytes: Size of the file [bytes].
         local_name: Name of the file in the folder ``WARPDIFF_DATA``.
-        extent_um: Width of the field along x [µm]; the samples are square.
-        height_range_um: Height of the full scale, 0 to 255, of the image's first channel [µm].
+        extent_um: Width of the field along x [µm]; the pitch along y is the same as along x.
+        height_range_um: Difference of height between the values 255 and 0 of the image's first channel [µm].
 
     Examples:
         >>> import warpdiff as wd
@@ -53,8 +53,8 @@ _DATASETS = {
         size_bytes=1_608_068,
         local_name="elaphe_65um.png",
         extent_um=65.0,
-        # The file does not record it. The preprocessing that was published with the scan uses this range; colours
-        # depend on it.
+        # The file does not record the height range. This value is from the preprocessing that was published with the
+        # scan. Colours depend on it.
         height_range_um=0.375,
     )
 }

@@ -1,5 +1,5 @@
-"""Pictures, their estimated errors, display transforms and files; no Warp.
+"""Pictures, their estimated errors, display transforms and picture files. The package does not import Warp.
 
-In: XYZ by pixel, and a plan.
+In: linear XYZ of each pixel, and the plan of the computation.
 Out: an ``Image``, display RGB, EXR and PNG files.
 """

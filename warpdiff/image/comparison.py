@@ -1,4 +1,4 @@
-"""Comparisons: errors of a picture against a reference, by the measure that tolerances use."""
+"""Comparison of a picture with a reference, with the same error measure as ``tolerance``."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Errors of a picture against a reference, as :func:`warpdiff.compare` returns them.
+    """Errors of a picture relative to a reference, the result of :func:`warpdiff.compare`.
 
     Attributes:
         error: Relative error of each pixel, shape (height, width), float64; 0 outside ``pixels``.
-        pixels: Pixels that are compared, shape (height, width).
-        tolerance: Tolerance that errors are compared with.
-        p50: Median error.
-        p90: 90th percentile of the errors.
-        p99: 99th percentile of the errors.
-        share_beyond_tolerance: Share of the compared pixels whose error exceeds the tolerance.
-        reported_share: Share of these pixels whose ``image.error`` exceeds the tolerance, too; None if the picture
-            estimates no errors, or if no pixel exceeds the tolerance.
-        luminance_ratio: Sum of Y over the compared pixels, relative to that of the reference.
+        pixels: Mask of the compared pixels, shape (height, width).
+        tolerance: Tolerance with which the errors are compared.
+        p50: Median of the errors of the compared pixels.
+        p90: 90th percentile of the errors of the compared pixels.
+        p99: 99th percentile of the errors of the compared pixels.
+        share_beyond_tolerance: Fraction of the compared pixels whose error exceeds the tolerance.
+        reported_share: Among the pixels whose error exceeds the tolerance, the fraction whose estimated error
+            (``image.error``) exceeds it, too. None if the picture has no estimated errors, or if no pixel exceeds the
+            tolerance.
+        luminance_ratio: Sum of Y over the compared pixels, divided by the same sum of the reference.
 
     Examples:
         >>> import warpdiff as wd
@@ -53,7 +54,7 @@ class Comparison:
     luminance_ratio: float
 
     def as_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers without the arrays, for a JSON file."""
+        """Return the numbers of the comparison by name, without the arrays, for a JSON file."""
         return {
             "pixels": int(self.pixels.sum()), "tolerance": self.tolerance, "p50": self.p50, "p90": self.p90,
             "p99": self.p99, "share_beyond_tolerance": self.share_beyond_tolerance,
@@ -71,17 +72,17 @@ def compare(
     image: Image | ArrayLike, reference: Image | ArrayLike, *, tolerance: Annotated[float, Gt(0.0)] | None = None,
     pixels: ArrayLike | None = None,
 ) -> Comparison:  # fmt: skip
-    """Compare a picture with a reference, by the error measure of ``tolerance``.
+    """Compare a picture with a reference, with the same error measure as ``tolerance``.
 
-    The error of a pixel is ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*), with XYZ and Y* of the reference. Y* is the larger of the
-    99th percentile of Y and of the median of Y weighted by Y.
+    The error of a pixel is ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*), with XYZ and Y* of the reference. Y* is the 99th percentile
+    of Y, or the median of Y weighted by Y if this is larger.
 
     Args:
         image: The picture: an :class:`~warpdiff.Image`, or linear CIE XYZ from any method, shape (height, width, 3).
         reference: The reference, of the same size.
-        tolerance: Tolerance that errors are compared with; None uses the one that ``image`` was rendered to.
-        pixels: Mask of the pixels to compare, shape (height, width). None compares the pixels that are not black in
-            the reference; those at edges of the mesh, where only a part of the pixel is covered, are left to the mask.
+        tolerance: Tolerance with which errors are compared; None uses the tolerance of ``image``.
+        pixels: Mask of the pixels to compare, shape (height, width). None compares all pixels that are not black in
+            the reference, including partly covered pixels at edges of the mesh.
 
     Raises:
         ValueError: The sizes differ, no pixel is compared, or ``tolerance`` is missing.
@@ -124,7 +125,7 @@ def compare(
 
 
 def _xyz(picture: Image | ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return the XYZ of a picture or of an array."""
+    """Return the linear XYZ of a picture or of an array, checked, shape (height, width, 3)."""
     result = validation.finite_array(picture.xyz if isinstance(picture, Image) else picture, name)
     if result.ndim != 3 or result.shape[2] != 3:
         raise ArgumentValueError(

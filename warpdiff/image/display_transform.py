@@ -1,9 +1,10 @@
 """Display transforms: scene-linear XYZ to display RGB (ACES 2.0 after chroma compression, colorimetric, clip).
 
-ACES 2.0 is Academy S-2025-001's output transform as OpenColorIO has it, in a built-in configuration that OpenImageIO
-carries and that is named here with its version. It cuts off what is negative in its working space (AP1), which light of
-narrow bands is, and turns hues thereby. So chroma is compressed before, at constant lightness and hue of OKLab (B.
-Ottosson, 2020), by the parametric curve of ACES' Reference Gamut Compression with a power of 1.
+ACES 2.0 is the output transform of Academy S-2025-001. This module uses the implementation of OpenColorIO, in a
+built-in configuration of OpenImageIO with a fixed version. ACES clips negative components in its working space (AP1).
+Narrow-band light has such components, and clipping changes its hue. The chroma is therefore compressed first, at
+constant lightness and hue of OKLab (B. Ottosson, 2020). The compression curve is that of ACES' Reference Gamut
+Compression with a power of 1.
 """
 
 from __future__ import annotations
@@ -28,18 +29,19 @@ GamutName = Literal["srgb", "display-p3"]
 DISPLAYS: tuple[Display, ...] = get_args(Display)
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
-# By transform, the luminance that automatic exposure gives the mean of what is illuminated. ACES shows middle tones
-# 0.8 stops darker than they are, and has room above 1.
+# Mean luminance of the illuminated pixels after automatic exposure, by display transform. The value for ACES is larger,
+# because ACES displays middle tones 0.8 stops darker and can display values above 1. Limit: chosen by eye; twice the
+# value makes pictures a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
 
-# CSS Color 4: primaries of Display P3 and D65.
+# Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
 _XYZ_TO_P3 = np.array([
     [446124 / 178915, -333277 / 357830, -72051 / 178915],
     [-14852 / 17905, 63121 / 35810, 423 / 17905],
     [11844 / 330415, -50337 / 660830, 316169 / 330415],
 ])  # fmt: skip
 _P3_TO_XYZ = np.linalg.inv(_XYZ_TO_P3)
-# OKLab of XYZ: cube roots of cones' responses, then sums and differences.
+# Matrices of OKLab. The first converts XYZ to cone responses; the second converts their cube roots to L, a and b.
 _XYZ_TO_CONES = np.array([
     [0.8189330101, 0.3618667424, -0.1288597137],
     [0.0329845436, 0.9293118715, 0.0361456387],
@@ -51,39 +53,43 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
-# The matrices of columns by the names that the shaders of web pages have for them.
+# Colour matrices by their names in the shaders of web pages. They are applied to column vectors.
 MATRICES = {
     "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
     "labToRoots": _LAB_TO_ROOTS,
 }  # fmt: skip
 
-# Chroma over the largest of its hue in Display P3: kept up to the first, and what has the second becomes 1. The largest
-# that light has is 3.96 times that, at 495 nm.
+# Limits of the chroma compression, relative to the largest chroma of the same hue in Display P3. Chroma up to the first
+# limit is unchanged, and chroma of the second limit is compressed to 1. Derived: monochromatic light has at most 3.96,
+# at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
-# Number of hues of the gamut's table.
+# Number of hues in the table of the largest chroma, one per 0.25°. Limit: the table is interpolated linearly.
 _HUES = 1440
-# Above, ACES shows white alone; far above it overflows.
+# Largest linear RGB component that is passed to ACES. Limit: larger values are displayed as white; huge ones overflow.
 WHITE = 1024.0
-# Nodes of a table along each axis, and the light [1] up to which they are spaced evenly, beyond it by equal ratios.
+# Number of nodes of the ACES table along each axis, and linear RGB component below which nodes are spaced evenly. Above
+# this component they are spaced by equal ratios. Limit: 33 nodes give 0.6 ΔE2000 at the 99th percentile. Twice the
+# number of nodes needs 8 times the memory.
 _NODES, TOE = 33, 0.01
-# Number of bisections: 2^-20 of the range is below a 16-bit step.
+# Number of bisections. Limit: 2^-20 of the range is smaller than a step of a 16-bit file.
 _BISECTIONS = 20
-# Colours that a thread looks up at a time.
+# Number of colours that a thread transforms at a time. Limit: with larger numbers, small pictures use fewer threads.
 _TOGETHER = 8192
-# Least value of a divisor.
+# Least divisor, which prevents a division by zero.
 _LEAST = 1e-30
 
 
 @dataclass(frozen=True)
 class Gamut:
-    """A display's primaries, and its names in OpenColorIO and OpenImageIO.
+    """Gamut of a display, with its names in OpenColorIO and in files.
 
     Attributes:
-        xyz_to_rgb: Its linear components of XYZ, shape (3, 3).
-        display: Its name in the configuration.
-        view: ACES' view on it.
-        name: What files say of it.
-        cicp: Primaries, transfer function, matrix and range by ITU-T H.273, for PNG; none where the name is enough.
+        xyz_to_rgb: Matrix from XYZ to linear RGB, shape (3, 3).
+        display: Name of the display in the OpenColorIO configuration.
+        view: Name of the ACES view in the OpenColorIO configuration.
+        name: Name of the gamut in the metadata of files.
+        cicp: Codes of ITU-T H.273 for PNG files: primaries, transfer function, matrix and range. None if the name
+            alone identifies the gamut.
     """
 
     xyz_to_rgb: NDArray[np.float64]
@@ -101,16 +107,16 @@ GAMUTS: dict[GamutName, Gamut] = {
 }
 
 
-# Additional threads do not make products with 3 × 3 matrices faster.
+# BLAS runs on one thread, because more threads do not make products with 3 × 3 matrices faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
-    """Transform colours to display RGB, encoded as sRGB is, 0 to 1.
+    """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
 
     Args:
-        xyz: Linear CIE XYZ, exposed, shape (..., 3).
-        display: One of ``DISPLAYS``.
-        gamut: One of ``GAMUTS``.
-        exact: Whether ACES is computed for each colour, or looked up in a table.
+        xyz: Linear CIE XYZ after exposure, shape (..., 3).
+        display: Display transform, one of ``DISPLAYS``.
+        gamut: Gamut of the display, one of ``GAMUTS``.
+        exact: Whether ACES is computed for each colour; otherwise it is interpolated in a table.
 
     Returns:
         R, G and B, shape (..., 3).
@@ -130,7 +136,7 @@ def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = 
 
 
 def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, exact: bool) -> NDArray[np.float64]:
-    """Return the display values of XYZ (n, 3)."""
+    """Return the display RGB of XYZ colours (n, 3); the arguments are those of :func:`encode`."""
     to_rgb = GAMUTS[gamut].xyz_to_rgb
     if display == "clip":
         return colorimetry.srgb_encode(flat @ to_rgb.T)
@@ -141,7 +147,7 @@ def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, ex
 
 
 def description(display: Display, gamut: GamutName) -> str:
-    """Describe in words what has been done to the colours of a file."""
+    """Return a text for the metadata of a file that describes the transform of its colours."""
     target = GAMUTS[gamut]
     if display == "aces":
         return f"{target.view}, {target.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
@@ -150,13 +156,13 @@ def description(display: Display, gamut: GamutName) -> str:
 
 
 def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
-    """ACES' output transform alone, of XYZ (n, 3)."""
+    """Return the display RGB of XYZ colours (n, 3) by the ACES output transform, without chroma compression."""
     if not len(xyz):
         return np.zeros((0, 3))
     target = GAMUTS[gamut]
     row = np.minimum(xyz, WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
-        # On this thread: a child of a fork has no other of OpenImageIO's.
+        # One thread is used, because a forked child process does not have OpenImageIO's other threads.
         buffer = oiio.ImageBufAlgo.ociodisplay(
             oiio.ImageBuf(row), target.display, target.view, fromspace=SCENE, unpremult=False,
             colorconfig=CONFIGURATION, nthreads=1,
@@ -168,21 +174,22 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
 
 
 def oklab(xyz: ArrayLike) -> NDArray[np.float64]:
-    """OKLab's L, a and b of XYZ, (..., 3); of k times the light they are ∛k times as large."""
+    """Return OKLab's L, a and b of XYZ colours, shape (..., 3). Multiplying XYZ by k multiplies all three by ∛k."""
     return np.asarray(np.cbrt(np.asarray(xyz, dtype=np.float64) @ _XYZ_TO_CONES.T) @ _ROOTS_TO_LAB.T)
 
 
 def of_oklab(lab: ArrayLike) -> NDArray[np.float64]:
-    """XYZ of OKLab, (..., 3)."""
+    """Return the XYZ colours of OKLab's L, a and b, shape (..., 3)."""
     roots = np.asarray(lab, dtype=np.float64) @ _LAB_TO_ROOTS.T
-    # A power takes a hundred times as long.
+    # Cubes are computed as products, because NumPy's power function requires a hundred times as long.
     return np.asarray(roots * roots * roots @ _CONES_TO_XYZ.T)
 
 
 def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Colours within Display P3, however bright, of XYZ (n, 3), at the same lightness and hue of OKLab.
+    """Return XYZ colours (n, 3) with the chroma compressed into Display P3, at constant lightness and hue of OKLab.
 
-    All that is compressed are chromaticities: since OKLab is homogeneous, the largest chroma is that of a hue times L.
+    The compression limits chromaticities and not brightness. OKLab is homogeneous: the largest chroma of a colour is
+    its lightness L times a function of the hue.
     """
     lab = oklab(xyz)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
@@ -199,7 +206,7 @@ def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @functools.cache
 def most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Hues [rad], and the largest chroma over lightness that Display P3 has of each, without a limit to its light."""
+    """Return hues [rad], and the largest ratio of chroma to lightness in Display P3 for each hue, at any brightness."""
     hues = np.linspace(-np.pi, np.pi, _HUES + 1)
     towards = np.stack([np.zeros_like(hues), np.cos(hues), np.sin(hues)], axis=1)
 
@@ -211,7 +218,10 @@ def most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear components of XYZ (n, 3): within 0 to 1 as they are, others with less chroma; white is the brightest."""
+    """Return the linear RGB of XYZ colours (n, 3), with less chroma for colours outside of the gamut.
+
+    Colours with components from 0 to 1 are unchanged. Colours that are brighter than white become white.
+    """
     rgb = xyz @ to_rgb.T
     out = np.flatnonzero((rgb < 0.0).any(axis=1) | (rgb > 1.0).any(axis=1))
     lab = oklab(xyz[out])
@@ -221,7 +231,7 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # All three roots of a grey are L.
+        # The cube roots of the three cone responses of a grey all equal L.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
@@ -236,7 +246,12 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
 def _largest_in_gamut(
     is_in_gamut: Callable[[NDArray[np.float64]], NDArray[np.bool_]], most: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """By bisection, the largest numbers from 0 to ``most`` that are in gamut."""
+    """Return the largest chroma from 0 to ``most`` for which each colour is in the gamut, by bisection.
+
+    Args:
+        is_in_gamut: Function of the chroma of each colour. It returns whether the colours are in the gamut.
+        most: Upper bound of the chroma of each colour, shape (n,).
+    """
     low, high = np.zeros_like(most), most
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -247,14 +262,20 @@ def _largest_in_gamut(
 
 @functools.cache
 def aces_table(gamut: GamutName) -> NDArray[np.float32]:
-    """ACES at nodes over linear Display P3, in which compressed colours are not negative, (nodes³, 3)."""
+    """Return the table of ACES display RGB over a grid in linear Display P3, shape (nodes³, 3).
+
+    Display P3 is used because colours after chroma compression have no negative components in it.
+    """
     axis = TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(WHITE / TOE))
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     return aces(nodes @ _P3_TO_XYZ.T, gamut).astype(np.float32)
 
 
 def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
-    """ACES of compressed XYZ (n, 3) by tetrahedra of a table: the corners are met in the order of the fractions."""
+    """Return the ACES display RGB of chroma-compressed XYZ (n, 3), interpolated in tetrahedra of the table.
+
+    The path from the first to the last corner of a cell follows the axes in the order of decreasing fractions.
+    """
     light = np.clip(xyz @ _XYZ_TO_P3.T, 0.0, WHITE)
     places = np.log1p(light / TOE) / np.log1p(WHITE / TOE) * (_NODES - 1)
     first = np.minimum(places.astype(np.int64), _NODES - 2)

@@ -1,6 +1,7 @@
-"""Error model: the estimated error of a pixel from that of its colours and its cells.
+"""Error model: the estimated error of a pixel, from the errors of its colour tables and of its subpixel cells.
 
-The constants bound 95 of 100 errors of pictures against many rays per pixel: see docs/decisions/error_estimates.md.
+The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
+rays per pixel: see docs/decisions/error_estimates.md.
 """
 
 from __future__ import annotations
@@ -16,25 +17,27 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Error of a mean over a pixel over the 99th percentile of a plan's errors, where the contrast to the neighbours is as
-# large as the colour. Fitted: the error of a table grows with the eighth root of the change of colour.
+# Ratio of the error of a pixel's mean colour to the 99th percentile of the plan's errors, if the contrast to the
+# neighbouring pixels equals the colour. Fitted: the error scales as the eighth root of the contrast.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# Bound of 95 of 100 errors over the root sum of squares of the errors of cells and of the table (fitted).
+# Factor from the root sum of squares of both parts (cells and table) to a bound of 95 % of the errors. Fitted.
 _BOUND_OF_BOTH = 1.1
 
-# Odds that a pixel exceeds the tolerance where its estimated error is the tolerance, and the power of the ratio of both
-# that they grow by (fitted).
+# Model of the probability that the true error of a pixel exceeds the tolerance: odds if the estimated error equals the
+# tolerance, and the power with which the odds grow with the ratio of estimated error and tolerance. Fitted.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 
 @dataclass(frozen=True)
 class ErrorParts:
-    """Parts of the errors ‖ΔXYZ‖ of pixels, each of shape (n,); None is a part that a picture has not.
+    """Quantities from which the errors ‖ΔXYZ‖ of n pixels are estimated.
 
     Attributes:
-        xyz: The colours, (n, 3).
-        contrasts: Largest difference from a neighbouring pixel; None for points, which are no means.
-        cells: Error that remains after subdivision.
+        xyz: Colours of the pixels, shape (n, 3).
+        contrasts: Largest difference ‖ΔXYZ‖ from a neighbouring pixel, shape (n,). None for single directions, which
+            are not averaged over a pixel.
+        cells: Error ‖ΔXYZ‖ that remains after the subdivision into subpixel cells, shape (n,). None without
+            subdivision.
     """
 
     xyz: NDArray[np.float32]
@@ -45,29 +48,35 @@ class ErrorParts:
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
     """Return the estimated errors ‖ΔXYZ‖ of pixels from their parts and the predicted relative error of the plan."""
-    # The error of a table, or of sums over wavelengths, is in proportion to the colour.
+    # The error of a colour table, or of a sum over wavelengths, is proportional to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size
     if parts.contrasts is not None:
         errors = _MEAN_ERROR_PER_PLAN_ERROR * plan_error * np.sqrt(np.sqrt(np.sqrt(size**7 * parts.contrasts)))
     if parts.cells is not None:
-        # Neither depends on the other.
+        # The two parts are independent, so that their squares add.
         errors = _BOUND_OF_BOTH * np.hypot(errors, parts.cells)
     return errors
 
 
 def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return ‖XYZ‖ of colours (…, 3); ``np.linalg.norm`` takes three times as long where the last axis is short."""
+    """Return ‖XYZ‖ of colours (…, 3); ``np.linalg.norm`` requires three times as long for a last axis of length 3."""
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", xyz, xyz)))
 
 
 def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return errors ‖ΔXYZ‖ (n,) of illuminated points over max(‖XYZ‖, f · Y*), from their XYZ (n, 3)."""
+    """Return the relative errors of illuminated points: ‖ΔXYZ‖ (n,) divided by max(‖XYZ‖, f · Y*), for XYZ (n, 3).
+
+    The function :func:`luminance_floor` defines f · Y*.
+    """
     return np.asarray(errors / np.maximum(lengths(xyz), luminance_floor(xyz[:, 1])), dtype=np.float32)
 
 
 def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
-    """Return f · Y* of illuminated points: Y* is a percentile of Y (n,), or its median weighted by Y if larger."""
+    """Return the luminance f · Y* below which errors of illuminated points are not relative to their own colour.
+
+    Y* is the 99th percentile of the luminances Y (n,), or the median of Y weighted by Y if this is larger.
+    """
     ordered = np.sort(luminance)
     white: float = 0.0
     if len(ordered):
@@ -78,7 +87,7 @@ def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
 
 
 def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
-    """Return the share of pixels that are expected to err by more than a tolerance, from their estimated errors."""
+    """Return the expected fraction of pixels whose true error exceeds a tolerance, from their estimated errors (n,)."""
     if not error.size:
         return 0.0
     odds = _ODDS_AT_TOLERANCE * (error.astype(np.float64) / tolerance) ** _ODDS_POWER

@@ -1,4 +1,4 @@
-"""Pictures in linear CIE XYZ, and their files."""
+"""Class ``Image``: pictures in linear CIE XYZ, and reading and writing of their files."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 Bits = Literal[8, 16]
-# Channels of every EXR file, and by layer what its channels' names end in.
+# Channels of every EXR file. For each layer: suffixes of the names of its channels.
 _CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
-# The last chunk of a PNG file: its length, name and checksum. Readers do without it.
+# Last chunk of a PNG file: length, name and checksum. A file without it is incomplete, but most readers accept it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# The share of the illuminated pixels that automatic exposure leaves out.
+# Fraction of the illuminated pixels, the brightest ones, that automatic exposure excludes. Limit: mirror reflections
+# of a light may be a thousand times as bright as diffraction orders.
 _TOO_BRIGHT = 1e-4
-# Largest correction of an exposure [stops]. Limit: a factor of 1e9.
+# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
 MOST_STOPS = 30.0
-# Memory for reading a file: a sample, and its copy by channel.
+# Memory for reading a file [bytes per sample]: four for a float32 sample, and four for its copy in another order.
 _BYTES_PER_SAMPLE = 8
 
 
@@ -50,19 +51,21 @@ class Image:
     Attributes:
         xyz: Linear CIE XYZ, shape (height, width, 3), float32, row 0 at the top; multiplied by ``coverage``, so that
             the background is 0.
-        mask: Whether a pixel's samples hit anything, shape (height, width).
-        illuminated: Whether they hit a point above whose horizon an unshadowed light stands, shape (height, width).
-        coverage: Share of a pixel's samples that hit anything, 0 to 1, shape (height, width), float32; alpha in files.
+        mask: Whether any sample of a pixel hits the mesh, shape (height, width).
+        illuminated: Whether any sample of a pixel hits a point that an unshadowed light illuminates, shape (height,
+            width).
+        coverage: Fraction of a pixel's samples that hit the mesh, 0 to 1, shape (height, width), float32; alpha in
+            files.
         error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*) as in ``tolerance``, shape
             (height, width), float32; 0 where nothing is illuminated.
-        plan: Plan of the computation; None for a picture that :meth:`load` read.
-        report: Report on the picture's errors and refinement; None likewise.
-        layers: Further outputs at the first hits of the central camera rays, by name, as requested from
-            :func:`warpdiff.shade`. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
-            width, 3), float32, 0 in the background. ``"depth"``: distance along the ray, from the eye or the plane
-            through it [the mesh's unit], shape (height, width), float32, infinite in the background. ``"geometry"``:
-            index of the scene's geometry, in the order of its nodes, shape (height, width), int32, −1 in the
-            background.
+        plan: Plan of the computation; None for a picture that :meth:`load` has read.
+        report: Report on the picture's errors and refinement; None for a picture that :meth:`load` has read.
+        layers: Further outputs by name, as requested from :func:`warpdiff.shade`, at the first hit of the ray through
+            each pixel's centre. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
+            width, 3), float32, 0 in the background. ``"depth"``: distance along the ray from the eye, or from the plane
+            through the eye of an orthographic camera [the mesh's unit], shape (height, width), float32, infinite in the
+            background. ``"geometry"``: index of the scene's geometry, in the order of its nodes, shape (height, width),
+            int32, −1 in the background.
 
     Examples:
         >>> import warpdiff as wd
@@ -96,15 +99,15 @@ class Image:
             return file.getvalue()
 
     def _as_pillow(self) -> PIL.Image.Image:
-        """The picture as :meth:`save` writes it to a PNG file by default."""
+        """Return the picture as a Pillow image, with the default settings of PNG files."""
         import PIL.Image
 
         return PIL.Image.fromarray(_quantised(self.display(), 8))
 
     def show(self) -> None:
-        """Show the picture through the default display transform.
+        """Show the picture with the default display transform.
 
-        In a Jupyter notebook it appears below the cell, elsewhere in the system's viewer of PNG files.
+        In a Jupyter notebook the picture appears below the cell, otherwise in the system's viewer of PNG files.
 
         Raises:
             RuntimeError: The system has no viewer.
@@ -128,9 +131,10 @@ class Image:
     def auto_exposure(self) -> float:
         """Automatic exposure factor of ``display="aces"``; 1 for a black picture.
 
-        It maps the mean luminance of the illuminated pixels to 0.7 (0.5 for other display transforms). The brightest
-        ten-thousandth of them is excluded: the reflection of a light may be a thousand times as bright as the orders,
-        which fill between a thousandth and all of a picture, so that no percentile suits every picture.
+        The factor maps the mean luminance of the illuminated pixels to 0.7 (0.5 for other display transforms). The
+        brightest 0.01 % of these pixels are excluded, because the mirror reflection of a light may be a thousand times
+        as bright as the diffraction orders. A mean is used because orders may cover between 0.1 % and all of a picture,
+        so that no percentile suits every picture.
         """
         return self._auto_exposure("aces")
 
@@ -138,7 +142,7 @@ class Image:
     def _auto_exposure(self, display: display_transform.Display) -> float:
         luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
         most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-        # A single pixel is not excluded.
+        # If all illuminated pixels would be excluded, as for a single one, the mean is over all of them.
         mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
         return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -149,7 +153,7 @@ class Image:
         exposure_from: Image | None = None, gamut: display_transform.GamutName = "srgb",
         background: Image | ArrayLike | None = None, exact: bool = True,
     ) -> NDArray[np.float32]:  # fmt: skip
-        """Transform the picture to display RGB, encoded as sRGB is.
+        """Transform the picture to display RGB, with the transfer function of sRGB.
 
         Args:
             display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range after compression of
@@ -158,7 +162,7 @@ class Image:
                 white. ``"clip"`` clips each channel.
             exposure: Linear factor of the light; None is automatic.
             exposure_stops: Correction of the exposure, a factor of 2 per stop.
-            exposure_from: Picture whose automatic exposure is used, for pictures that belong together.
+            exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             gamut: Gamut of the display.
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
@@ -183,7 +187,7 @@ class Image:
         self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName,
         background: Image | ArrayLike | None, *, exact: bool = True,
     ) -> NDArray[np.float32]:  # fmt: skip
-        """Return the result of :meth:`display`, at a linear factor."""
+        """Return display RGB for a linear exposure factor; the other arguments are those of :meth:`display`."""
         behind = self._behind(background, display, factor, gamut, exact=exact)
         encoded = self._encoded(display, factor, gamut, exact=exact)
         if behind is None:
@@ -203,7 +207,15 @@ class Image:
         self, display: display_transform.Display, exposure: float | None, stops: float, source: Image | None, *,
         scales: bool = True,
     ) -> float:  # fmt: skip
-        """The linear factor that the arguments name; without any, 1 where nothing is to be scaled."""
+        """Return the linear exposure factor from the arguments of :meth:`display`.
+
+        Args:
+            display: Display transform, for automatic exposure.
+            exposure: Linear factor, or None.
+            stops: Correction of the factor [stops].
+            source: Picture whose automatic exposure is used, or None.
+            scales: Whether exposure is automatic by default; otherwise the default factor is 1.
+        """
         stops = validation.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
         validation.instance(source, Image, "exposure_from", optional=True)
         if exposure is not None:
@@ -220,7 +232,7 @@ class Image:
     def _encoded(
         self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName, *, exact: bool
     ) -> NDArray[np.float64]:
-        """Encoded colours, not multiplied by alpha; 0 where nothing is."""
+        """Return encoded display RGB that is not multiplied by alpha; 0 in the background."""
         covered = self.coverage > 0.0
         straight = self.xyz[covered] / self.coverage[covered][:, None].astype(np.float64)
         encoded = np.zeros(self.xyz.shape)
@@ -231,7 +243,7 @@ class Image:
         self, background: Image | ArrayLike | None, display: display_transform.Display, factor: float,
         gamut: display_transform.GamutName, *, exact: bool,
     ) -> NDArray[np.float64] | None:  # fmt: skip
-        """Linear light of a background, (3,) or (height, width, 3)."""
+        """Return the background in the display's linear light, shape (3,) or (height, width, 3); None without one."""
         if background is None:
             return None
         height, width = self.mask.shape
@@ -278,7 +290,7 @@ class Image:
                 reduces the chroma of others. ``"clip"`` clips each channel. EXR files are linear.
             exposure: Linear factor of the light; None is automatic for PNG, and 1 for EXR.
             exposure_stops: Correction of the exposure, a factor of 2 per stop.
-            exposure_from: Picture whose automatic exposure is used, for pictures that belong together.
+            exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             gamut: Gamut of the display, for PNG.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
@@ -289,10 +301,10 @@ class Image:
             The path of the file.
 
         Raises:
-            ValueError: The suffix is another one, or an argument is not accepted.
+            ValueError: The suffix is not ``.exr`` or ``.png``, or an argument is not accepted.
             OSError: The file cannot be written; an existing file is unchanged.
         """
-        import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+        import OpenImageIO as oiio  # noqa: N813 (the name that its manual uses)
 
         target = check_target(path)
         is_png = target.suffix.lower() == ".png"
@@ -330,7 +342,7 @@ class Image:
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
-            # Or the writer adds the time, and the same picture would never make the same file.
+            # Without this, the writer adds the current time, and files of the same picture would differ.
             spec.attribute("DateTime", "")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
             transform = f"none, linear; exposure {factor:.6g}"
@@ -353,9 +365,9 @@ class Image:
             path: EXR file.
 
         Returns:
-            The picture, with the values of the file: XYZ is multiplied by the exposure with which it was saved, 1 by
-            default. ``mask`` is where ``coverage`` is above 0, ``illuminated`` where XYZ or ``error`` is not 0 within
-            it, and ``plan`` and ``report`` are None, as files do not hold them.
+            The picture with the values of the file. XYZ is multiplied by the exposure with which the picture was saved,
+            1 by default. ``mask`` is True where ``coverage`` is more than 0. ``illuminated`` is True where XYZ or
+            ``error`` is not 0 within the mask. ``plan`` and ``report`` are None, because files do not contain them.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -379,12 +391,17 @@ class Image:
 
 
 def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:
-    """Encoded components as integers of a PNG file."""
+    """Return display RGB from 0 to 1 as unsigned integers of 8 or 16 bits for a PNG file."""
     return np.asarray(np.round(np.float64(encoded) * (2**bits - 1)), dtype=np.uint8 if bits == 8 else np.uint16)
 
 
 def check_target(path: Any, name: str = "path") -> Path:
-    """Return the path of a picture that can be written there, or say why it cannot."""
+    """Return the checked path of a picture file; raise an error if no picture can be written there.
+
+    Args:
+        path: Path that the user gave.
+        name: Name of the argument for error messages.
+    """
     target = validation.path(path, name)
     if target.suffix.lower() not in _FORMATS:
         raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
@@ -397,8 +414,11 @@ def check_target(path: Any, name: str = "path") -> Path:
 
 
 def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
-    """Write a file, and make sure of it: the PNG writer reports success on a full disk, the EXR writer at times."""
-    # The temporary name ends in the same suffix, which is how the writer of the format is found.
+    """Write a picture file, read it again and compare it.
+
+    On a full disk the PNG writer always reports success, and the EXR writer sometimes.
+    """
+    # OpenImageIO selects the format by the suffix, so that the temporary name has the same suffix.
     with openimageio.in_use() as oiio, files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):
@@ -412,7 +432,7 @@ def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
 
 
 def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
-    """Whether a file is whole and holds these pixels, in channels of these names in any order."""
+    """Whether a file is complete and contains the pixels, in channels with the given names in any order."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(PNG_END), 0))
         if path.suffix == ".png" and file.read() != PNG_END:
@@ -432,13 +452,16 @@ def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[
 
 
 def _discard_error(source: Any) -> None:
-    """Take OpenImageIO's message, or it is printed when the process ends; it may cite bytes that are not UTF-8."""
+    """Read OpenImageIO's error message and discard it, because unread messages are printed when the process ends.
+
+    A message may contain bytes that are not UTF-8.
+    """
     with contextlib.suppress(UnicodeDecodeError):
         source.geterror()
 
 
 def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
-    """Channels of a file that :meth:`Image.save` wrote, by their names, shape (height, width) each."""
+    """Return the channels of an EXR file that :meth:`Image.save` wrote, by name, each of shape (height, width)."""
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(file))
         if source is None:

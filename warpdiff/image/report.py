@@ -1,4 +1,4 @@
-"""Reports: the errors and the refinement of a picture, as its rendering estimates them."""
+"""Reports on pictures: estimated errors and refinement of the pixels."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from warpdiff.image.error_model import share_beyond
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Tolerance at edges of the mesh or of shadows over that of the interior (limit: no filter is converged there).
+# Ratio of the tolerance of pixels at edges (of the mesh or of shadows) to that of interior pixels. Limit: the pixel
+# filter converges slowly at edges.
 EDGES_PER_TOLERANCE = 3.0
-# Shares of the interior pixels and of those at edges that may exceed their tolerance in a picture that can be trusted.
+# Largest fractions of interior pixels and of edge pixels that may exceed their tolerance if a picture counts as
+# converged. Limits: twice the fractions accept pictures with visible errors.
 MOST_UNCONVERGED, MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
@@ -24,15 +26,15 @@ class Report:
     """Report on the errors and the refinement of a picture.
 
     Attributes:
-        tolerance: Tolerance that the picture was rendered to.
+        tolerance: Requested tolerance of the picture.
         errors: Median and 99th percentile of the estimated errors of the illuminated pixels.
-        is_refined: Whether pixels were refined; nothing is guaranteed otherwise.
-        refined_share: Share of the covered pixels that were subdivided; for several lights, the largest.
-        unconverged_share: Share of the illuminated interior pixels whose error is expected to exceed the tolerance; 0
+        is_refined: Whether pixels were refined. Without refinement, pixels may exceed the tolerance.
+        refined_share: Fraction of the covered pixels that were subdivided; with several lights, the largest fraction.
+        unconverged_share: Expected fraction of the illuminated interior pixels whose error exceeds the tolerance; 0
             without refinement.
-        unconverged_edge_share: Share of the pixels at edges, of the mesh or of shadows, whose error is expected to
-            exceed three tolerances; 0 without refinement.
-        light_sample_count: Number of directions and lobes that represent the lights.
+        unconverged_edge_share: Expected fraction of the pixels at edges, of the mesh or of shadows, whose error exceeds
+            three times the tolerance; 0 without refinement.
+        light_sample_count: Number of directions that represent all lights together.
 
     Examples:
         >>> import warpdiff as wd
@@ -53,15 +55,15 @@ class Report:
 
     @property
     def is_converged(self) -> bool:
-        """Whether few pixels are expected to exceed their tolerance: 1 % of the interior and 5 % at edges.
+        """Whether at most 1 % of the interior pixels and 5 % of the edge pixels are expected to exceed their tolerance.
 
-        Without refinement no pixel is, as nothing is guaranteed then: see ``is_refined``.
+        Without refinement the value is True and guarantees nothing: see ``is_refined``.
         """
         return self.unconverged_share <= MOST_UNCONVERGED and self.unconverged_edge_share <= MOST_UNCONVERGED_EDGES
 
     @property
     def verdict(self) -> str:
-        """Whether the picture can be trusted, in a sentence."""
+        """Sentence that says whether the picture meets its tolerance."""
         if not self.is_refined:
             return (
                 f"Pixels were not refined: 99 % of the illuminated pixels have an estimated error of at most "
@@ -97,10 +99,16 @@ def report_of(
     error: NDArray[np.float32], illuminated: NDArray[np.bool_], edges: NDArray[np.bool_] | None, *,
     tolerance: float, refined_share: float, light_sample_count: int,
 ) -> Report:  # fmt: skip
-    """Return the report on the estimated relative errors of pixels, arrays (height, width).
+    """Return the report on a picture.
 
-    ``edges`` tells through which of them an edge passes; None is a picture without refinement. The other arguments are
-    those of :class:`Report`.
+    Args:
+        error: Estimated relative error of each pixel, shape (height, width).
+        illuminated: Mask of the illuminated pixels, shape (height, width).
+        edges: Mask of the pixels through which an edge of the mesh or of a shadow passes, shape (height, width). None
+            for a picture without refinement.
+        tolerance: As in :class:`Report`.
+        refined_share: As in :class:`Report`.
+        light_sample_count: As in :class:`Report`.
     """
     visible = error[illuminated]
     median, percentile_99 = np.percentile(visible, (50.0, 99.0)).tolist() if visible.size else (0.0, 0.0)

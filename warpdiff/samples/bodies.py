@@ -84,7 +84,7 @@ def tube(
             f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
-    # Head and tail are half ellipses; equal steps in the angle of the ellipse resolve their tips.
+    # The outlines of head and tail are half ellipses. Equal steps in the angle of an ellipse resolve its tip.
     head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
     at_head, at_tail = segments_along // 8, segments_along // 3
     head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
@@ -103,11 +103,12 @@ def tube(
     # u increases around the body, starting at the belly, so that (around, forward, outward) is right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
-    phi[-1] = phi[0]  # both vertices at the seam have exactly the same position
+    phi[-1] = phi[0]  # The two vertices at the seam get exactly the same position.
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
-    # n ∝ ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse, is finite at the tips. The factor
-    # `stretch` is the length of the surface relative to the centre line, which is less than 1 inside a bend.
+    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse. This form
+    # is finite at the tips. The factor `stretch` is the length of the surface divided by that of the centre line, which
+    # is less than 1 on the inner side of a bend.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -192,7 +193,7 @@ def disc(
 def _meander(
     s: NDArray[np.float64], bend: float, frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points (k, 3), headings (k,) and curvatures (k,) of the centre line of a tube at the arc lengths ``s``."""
+    """Return points (k, 3), headings (k,) [rad] and curvatures (k,) of a tube's centre line at arc lengths ``s``."""
     # The curve is integrated by the midpoint rule with steps much finer than the rings.
     parts = 16
     step = np.diff(s)[:, None] / parts
@@ -205,9 +206,9 @@ def _meander(
 
 
 def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Return two triangles per cell of a grid of vertices whose (column, row) axes are right-handed.
+    """Return two triangles per quadrilateral of a grid of vertices. The axes (column, row) are right-handed.
 
-    The diagonals alternate from cell to cell, so that sums over the faces of a vertex are not biased to one side.
+    The diagonals alternate between quadrilaterals, so that means over the faces of a vertex are not biased to one side.
     """
     row, column = np.indices((rows - 1, columns - 1))
     is_even = np.repeat((row + column) % 2 == 0, 2)[:, None]
@@ -217,7 +218,7 @@ def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
 def _mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
 ) -> trimesh.Trimesh:
-    """Return a mesh from grids of vertices, normals and texture coordinates; ``process=False`` preserves the seam."""
+    """Return a mesh from vertices, normals and texture coordinates. Vertices at the seam are not merged."""
     import trimesh
 
     return trimesh.Trimesh(

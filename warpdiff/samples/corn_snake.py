@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and limit on the length of a snake [radii of the body].
+# Length of the head, and largest length of a snake [radii of the body]. Limit: the centre line has 4,097 points.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
-# Cross sections of the head (position as a share of its length) and of the body (share of the rest), chosen by
-# eye: position, half width, height above the centre line, depth below it [radii], and exponent of the
-# superellipse (2 is an ellipse, more is squarer).
+# Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
+# the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
+# the superellipse (2 is an ellipse, larger exponents are squarer).
 _HEAD = np.array([
     [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
     [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
@@ -38,8 +38,8 @@ _BODY = np.array([
     [0.40, 1.00, 0.96, 0.72, 2.4], [0.60, 0.98, 0.94, 0.70, 2.4], [0.78, 0.72, 0.68, 0.54, 2.3],
     [0.90, 0.38, 0.36, 0.30, 2.1], [1.00, 0.06, 0.06, 0.06, 2.0],
 ])  # fmt: skip
-# Marks on the head at (share of its length, share of the circumference from the middle of the back): centres of the
-# shields of one side, from the rostral to the gulars, in the arrangement of colubrids.
+# Centres of the shields (large scales) on one side of the head, in the arrangement of colubrid snakes. Coordinates:
+# fraction of the head's length, and fraction of the circumference from the middle of the back.
 _SHIELDS = np.array(
     [(0.0, 0.0), (0.10, 0.05), (0.23, 0.055), (0.42, 0.0), (0.43, 0.095), (0.66, 0.06), (0.88, 0.0), (0.90, 0.06)]
     + [(0.07, 0.15), (0.15, 0.16), (0.25, 0.165), (0.33, 0.15), (0.54, 0.155), (0.64, 0.17), (0.77, 0.16), (0.89, 0.13)]
@@ -48,36 +48,37 @@ _SHIELDS = np.array(
     + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
     + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
 )
-# Centre of the eye, its radius [radii of the body], and the circumferential position of the mouth.
+# Centre of the eye (fractions of the head's length and of the circumference), radius of the eye [radii of the body],
+# and circumferential position of the mouth. Chosen by eye.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
-# Lengths of a share of 1 in both directions [radii of the body], which convert shares on the head to distances.
+# Lengths of the head and of its circumference [radii of the body], which convert positions on the head to distances.
 _HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])
 # Lengths of the rounded ends of head and tail [radii of the body].
 _SNOUT, _TIP = 0.4, 0.3
-# Share of the circumference from the middle of the belly to its edge.
+# Width of half the belly as a fraction of the circumference, chosen by eye.
 _BELLY = 0.15
 
-# Relief of a scale [lengths of a scale], chosen by eye: rise of its free rear end, its overlap over the next scales,
-# and the height of its dome.
+# Relief of a scale [lengths of a scale], chosen by eye: rise of its free rear end, overlap over the next scales, and
+# height of its dome.
 _STAND_OFF, _OVERHANG, _DOME = 0.10, 0.10, 0.035
-# Bow of the edges of a scale to the rear [lengths of a scale] and to the sides [rows].
+# Curvature of the edges of a scale: largest displacement to the rear [lengths of a scale] and to the sides [rows].
 _BOW, _BOW_SIDEWAYS = 0.07, 0.10
 # Distance over which the relief fades in at the neck and out at the tail [scales].
 _FADE = 2.0
-# Width of the strip under a free edge in the texture [scales].
+# Width of the walls under free edges of scales, in the texture [scales].
 _RISER = 0.05
 
 # Colours of the pattern in sRGB, chosen by eye.
 _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
-# Lengths of the head and of the tip of the tail in the texture [scales].
+# Lengths of the head and of the tip of the tail in the texture, in the unit of one scale of the body.
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
 # Number of texels of the texture per scale or row; the size of the texture is proportional to its square.
 _TEXELS = 8
 
 
 class _Patch(NamedTuple):
-    """Vertices and faces on the skin. Texture coordinates differ from positions where scales overlap.
+    """Part of the mesh on the unrolled skin. Texture coordinates differ from positions where scales overlap.
 
     Attributes:
         x: Position around the body [rows], shape (k,).
@@ -85,7 +86,7 @@ class _Patch(NamedTuple):
         shift: Displacement of the vertex to the rear [scales], shape (k,).
         rise: Displacement of the vertex outwards [scales], shape (k,).
         u, v: Positions ``x`` and ``tau`` in the texture, shape (k,).
-        wall: Whether the vertex belongs to the strip under a free edge, shape (k,).
+        wall: Whether the vertex belongs to the wall under a free edge of a scale, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
 
@@ -148,13 +149,13 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # Bytes at the peak, as measured; the belly counts as two rows.
+    # The memory estimate is the peak in bytes, as measured. The belly counts as two rows of scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # One spline through the cross sections of head and body limits the length.
+    # The length is limited because one spline interpolates the cross sections of head and body.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -173,7 +174,7 @@ def snake(
     along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
     colours = _pigment(skin, np.random.default_rng(seed))
-    # The first row of an image is at v = 1.
+    # The rows are reversed, because the first row of an image is at the texture coordinate v = 1.
     colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
     return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
 
@@ -192,9 +193,9 @@ class _Skin:
 
     Attributes:
         radius: Half of the largest width of the body [mesh units].
-        breadth: Width of the back [rows], the x of its far edge.
+        breadth: Width of the back [rows], which is the largest x of the back.
         belly: Half of the width of the belly [rows].
-        count: Number of scales from the neck to the end of the tail, the τ at its end.
+        count: Number of scales from the neck to the end of the tail, which is τ at the end of the tail.
     """
 
     def __init__(self, radius: float, length: float, bend: float, waves: float, breadth: int, count: int) -> None:
@@ -207,7 +208,7 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # Bends start behind the head. The whole belly touches the ground.
+        # The centre line is straight in the head and bends behind it. The whole belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(
@@ -240,7 +241,10 @@ class _Skin:
         self._scale = np.gradient(s, self._tau)
 
     def outline(self, s: Floats) -> Floats:
-        """Half width, height, depth and exponent of the cross section at ``s``, shape (k, 4); 0 at both ends."""
+        """Return half width, height, depth and exponent of the cross sections at the arc lengths ``s``, shape (k, 4).
+
+        Width, height and depth are 0 at both ends of the snake.
+        """
         outline = _hermite(s, self._stations, self._outline)
         snout = np.clip(1.0 - s / (_SNOUT * self.radius), 0.0, 1.0)
         tip = np.clip((s - self._length) / (_TIP * self.radius) + 1.0, 0.0, 1.0)
@@ -248,15 +252,15 @@ class _Skin:
         return outline
 
     def turn(self, x: Floats) -> Floats:
-        """Share of the circumference from the middle of the belly."""
+        """Return the position ``x`` as a fraction of the circumference, starting at the middle of the belly."""
         return (x + self.belly) / (self.breadth + 2.0 * self.belly)
 
     def points(self, patch: _Patch) -> Floats:
-        """Positions in space, shape (k, 3)."""
+        """Return the positions of a patch's vertices in space, shape (k, 3)."""
         s = np.interp(patch.tau + patch.shift, self._tau, self._s)
-        # A rise is directed away from the centre line, which is nearly the direction of the normal.
+        # The rise of a scale displaces vertices away from the centre line, which is nearly the direction of the normal.
         width, height, depth, power = self.outline(s).T
-        # The modulus gives both sides of the seam exactly the same position.
+        # With the modulus, the vertices on both sides of the seam have exactly the same position.
         phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
         c, d = np.cos(phi), np.sin(phi)
         square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
@@ -273,7 +277,7 @@ class _Skin:
 
 
 def _integral(s: Floats, values: Floats) -> Floats:
-    """Cumulative integral of ``values`` over ``s`` by the trapezoidal rule, starting at 0."""
+    """Return the cumulative integral of ``values`` over ``s`` by the trapezoidal rule, starting at 0."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2.0 * np.diff(s))])
 
 
@@ -292,21 +296,28 @@ def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
 
 
 def _smoothstep(t: Floats) -> Floats:
-    """Smooth step from 0 to 1 for t from 0 to 1, with zero slope at both ends."""
+    """Return a smooth step from 0 to 1 for t from 0 to 1, with zero slope at both ends."""
     t = np.clip(t, 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 def _fade(skin: _Skin, tau: Floats) -> Floats:
-    """Factor of the relief of scales: 0 at the neck and at the end of the tail, otherwise 1."""
+    """Return the factor of the scales' relief at ``tau``: 0 at the neck and at the end of the tail, 1 in between."""
     return _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
 
 
 def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, τ, shift and rise of the points (a, b) of scales with the centres (x, tau), broadcast.
+    """Return x, τ, shift and rise of points on scales.
 
-    Shift and rise are linear from the front corner to the rear corner. Steps therefore have the same height along free
-    edges, and neighbouring scales meet at their corners.
+    Shift and rise increase linearly from the front corner to the rear corner of a scale. The step at a free edge
+    therefore has the same height all along the edge, and neighbouring scales meet at their corners.
+
+    Args:
+        skin: Map from the unrolled skin to space.
+        x: Centres of the scales across the back [rows].
+        tau: Centres of the scales along the body [scales].
+        a: First coordinate of the points on a scale, 0 to 1, broadcast with the centres.
+        b: Second coordinate of the points on a scale, 0 to 1, broadcast with the centres.
     """
     rear = (a + b) / 2.0
     x, tau = np.asarray(x) + a - b, np.asarray(tau) - 0.5 + rear
@@ -322,7 +333,7 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
 def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
-    """Return m equal patches of k vertices, all with the same ``faces``, as one patch."""
+    """Return m patches of k vertices each, all with the same ``faces``, as one patch."""
     m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
@@ -331,14 +342,17 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """Join patches into one."""
+    """Return one patch with the vertices and faces of several patches."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
 
 
 def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
-    """Return two triangles per cell of a right-handed (column, row) grid; ``rising`` diagonals connect a and d."""
+    """Return two triangles per quadrilateral of a grid of vertices. The axes (column, row) are right-handed.
+
+    With ``rising``, the diagonal connects the corner of least row and column to the opposite one.
+    """
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).ravel()
     b, c, d = a + 1, a + columns, a + columns + 1
@@ -352,8 +366,9 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
     b, a = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     odd, even = np.arange(1, skin.breadth, 2), np.arange(2, skin.breadth, 2)
     middles = np.arange(skin.count) + 0.5
-    # Entries: rows, positions along them, mask of the rhombus, its free edges, and the direction of diagonals. The
-    # diagonals of a cut scale are parallel to the cut.
+    # Each entry describes one kind of scale: rows, positions along the rows, mask of the points (a, b) that are not cut
+    # off, whether the two rear edges are free, and direction of the diagonals. Diagonals of a cut scale are parallel to
+    # the cut.
     kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
         (odd, np.arange(1, skin.count), a < 2.0, (True, True), False), (even, middles, a < 2.0, (True, True), False),
         (odd, 0, a + b > 1.0 - 1e-9, (True, True), False), (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
@@ -365,7 +380,7 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
         corners = _plate(skin, x, tau, a, b)
         faces = grid_faces(n + 1, n + 1, rising=rising)
         patches.append(_patches(corners, corners[:2], faces[np.all(is_inside[faces], axis=1)]))
-        # A wall leads from a free edge down to the front edge of the scale below, whose texture it continues.
+        # A wall connects a free edge to the front edge of the scale below. It continues the texture of that scale.
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         if free[0]:
             top, low = _plate(skin, x, tau, ones, step), _plate(skin, x + 1, tau + 0.5, zeros, step)
@@ -377,20 +392,23 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
-    """Return strips between two edges; in the texture they are ``u`` rows and |u|/2 scales wide."""
+    """Return the walls between free edges (``top``) and the edges below (``low``).
+
+    In the texture, a wall is ``u`` rows wide across the body and |u|/2 scales along it.
+    """
     corners = tuple(np.concatenate(pair, axis=1) for pair in zip(top, low, strict=True))
     texture = (np.concatenate([top[0], top[0] + u], axis=1), np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1))
     return _patches(corners, texture, faces, wall=True)
 
 
 def _belly_columns(skin: _Skin, n: int) -> list[Floats]:
-    """Return the x of the vertices across both halves of the belly, on both sides of the seam."""
+    """Return the positions x of the vertices across the two halves of the belly, on both sides of the seam."""
     part = np.arange(n + 1) / n * skin.belly
     return [part - skin.belly, skin.breadth + part]
 
 
 def _scutes(skin: _Skin, n: int) -> list[_Patch]:
-    """Return the ventral scutes, which overlap like the scales."""
+    """Return the ventral scutes (the broad scales of the belly), which overlap like the other scales."""
     patches = []
     step = np.arange(n + 1) / n
     tau0 = np.arange(skin.count)[:, None] + 0.5
@@ -400,7 +418,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         patches.append(_patches((x[None], *rest), (x[None], rest[0]), grid_faces(n + 1, n + 1)))
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
-        # The wall has two steps, because the corner of a scale is halfway up.
+        # The wall of a scute has two strips, because the corner of the neighbouring scale is at half its height.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
         patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
@@ -408,14 +426,21 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """Return the x of all vertices around the body at the ends of the scales."""
+    """Return the positions x of the vertices of a ring around the body, where scales meet head or tail end."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
 
 
 def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
-    """Return a patch of rings of vertices, of which the first or the last is a point."""
+    """Return a patch of rings of vertices, of which one ring has zero radius.
+
+    Args:
+        x: Positions of the vertices around the body, shape (n,).
+        tau: Positions of the rings along the body, shape (m,).
+        rise: Displacement of the vertices outwards, shape (m, n).
+        first: Whether the first ring has zero radius, otherwise the last.
+    """
     rows, columns = len(tau), len(x)
     u, v = np.tile(x, rows), np.repeat(tau, columns)
     faces = grid_faces(columns, rows, rising=not first)
@@ -426,7 +451,7 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    """Return the head, with twice the vertices of the ring of scales at which it ends."""
+    """Return the patch of the head. Its rings have twice as many vertices as the ring where the scales begin."""
     coarse = _ring(skin, n)
     x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
     q = np.linspace(0.0, 1.0, 14 * n + 1)
@@ -436,7 +461,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
     rise += 0.07 * np.clip(1.0 - eye**2, 0.0, None)
     rise *= (_smoothstep(f / 0.06) * _smoothstep((1.0 - f) / 0.1))[:, None]
     patch = _cap(x, (f - 1.0) * _HEAD_SCALES, rise * (_HEAD_SCALES / _HEAD_LENGTH), first=True)
-    # The last strip connects all columns to every second column.
+    # The last strip of faces connects a ring with all vertices to a ring with every second vertex.
     columns = len(x)
     last = (len(f) - 2) * columns + np.arange(0, columns - 1, 2)
     c = last + columns
@@ -451,12 +476,12 @@ def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
 
     Args:
         f: Position from the snout to the neck, 0 to 1.
-        across: Share of the circumference from the middle of the back, −0.5 to 0.5.
+        across: Fraction of the circumference from the middle of the back, −0.5 to 0.5.
     """
     f, across = np.broadcast_arrays(f, np.abs(across))
     nearest = np.full(f.shape, np.inf)
     second = nearest.copy()
-    # Shields at the middle have no mirror image.
+    # Shields on the midline of the head have no mirror image on the other side.
     for seed in (*_SHIELDS, *(_SHIELDS * [1.0, -1.0])[_SHIELDS[:, 1] > 0.0]):
         away = np.hypot((f - seed[0]) * _HEAD_SPREAD[0], (across - seed[1]) * _HEAD_SPREAD[1])
         np.minimum(second, np.maximum(nearest, away), out=second)
@@ -467,7 +492,7 @@ def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _tip(skin: _Skin, n: int) -> _Patch:
-    """Return the end of the tail, a smooth cone."""
+    """Return the patch of the tail's end, a smooth cone without scales."""
     x = _ring(skin, n)
     q = np.linspace(0.0, 1.0, n + 1)
     tau = skin.count + (1.0 - (1.0 - q) ** 2) * _TIP_SCALES
@@ -490,7 +515,7 @@ def _normals(vertices: Floats, patch: _Patch, skin: _Skin) -> Floats:
 
 
 def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
-    """Return the texture of the skin in sRGB, rows from snout to tail, columns around the body; shape (h, w, 3)."""
+    """Return the texture of the skin in sRGB, shape (h, w, 3). Rows go from snout to tail, columns around the body."""
     height = round(_TEXELS * (_HEAD_SCALES + skin.count + _TIP_SCALES))
     width = round(_TEXELS * (skin.breadth + 2.0 * skin.belly))
     around = (np.arange(width) + 0.5) / width
@@ -502,7 +527,7 @@ def _pigment(skin: _Skin, rng: np.random.Generator) -> Floats:
 
 
 def _mix(colour: Floats, other: tuple[float, float, float], share: Floats) -> Floats:
-    """Blend from one sRGB colour to another."""
+    """Return a mixture of two sRGB colours; ``share`` is the fraction of the second colour."""
     return colour + share[..., None] * (np.array(other) - colour)
 
 
@@ -510,7 +535,8 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     """Return colours of scales at (x, tau) in sRGB: saddles on the back, blotches on the flanks, a checkered belly."""
     x, tau = np.broadcast_arrays(x, tau)
     belly = (x < 0.0) | (x > skin.breadth)
-    # A fixed-point iteration inverts the bow of the edges and finds the scale of a texel and its position on it.
+    # The edges of scales are curved. A fixed-point iteration inverts this curvature and gives the scale of each texel,
+    # and the texel's position (a, b) on the scale.
     fade = _fade(skin, tau)
     x0, tau0 = x, tau
     for _ in range(4):
@@ -520,20 +546,21 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     a, b = tau0 + x0 / 2.0, tau0 - x0 / 2.0
     cell_a, cell_b = np.floor(a).astype(np.int64), np.floor(b).astype(np.int64)
     a, b = a - cell_a, b - cell_b
-    # The colour of a scale is nearly constant, so that the outline of the pattern follows the scales.
+    # The pattern is evaluated mostly at the centre of a scale (65 %) and partly at the texel. The colour of a scale is
+    # then nearly constant, and the outline of the pattern follows the scales.
     share = 0.65
     across = np.abs((1.0 - share) * x0 + share * (cell_a - cell_b) - skin.breadth / 2.0) * (28.0 / skin.breadth)
     along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
 
     blotches = max(2, round(skin.count / 6.2))
-    # The offset places the first blotch on the neck.
+    # The offset of 0.4 places the first blotch of the pattern on the neck.
     phase = along / skin.count * blotches + 0.4
     period = skin.count / blotches
 
     def blotch(
         at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float
     ) -> Floats:
-        """Distance from the centre of the nearest blotch, 1 at its edge."""
+        """Return the distance from the centre of the nearest blotch, 1 at the blotch's edge."""
         index = np.floor(at - offset).astype(np.int64)
         jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, index + 1]
         back = (at - offset - index - 0.5) * period - jitter[0]
@@ -559,7 +586,7 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     # The front of a scale is darkened like a shadow, and the skin between scales is dark.
     edge = np.minimum(np.minimum(1.0 - a, 1.0 - b), np.minimum(a, b))
     colour = colour * (0.72 + 0.28 * _smoothstep((a + b) / 0.9) * _smoothstep(edge / 0.10 + 0.35))[..., None]
-    # Scutes are cream with random black squares.
+    # The scutes of the belly are cream with random black squares.
     scute = np.floor(tau).astype(np.int64)
     column = np.floor((x % (skin.breadth + 2.0 * skin.belly)) / 3.0).astype(np.int64)
     black = rng.random((skin.count + 2, 64))[scute // 2 + column % 2, column % 64] < 0.5
@@ -569,12 +596,12 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
 
 
 def _head_pigment(f: Floats, across: Floats) -> Floats:
-    """Return colours of the head in sRGB: a spearhead between the eyes, a bar before them, a stripe from eye to jaw."""
+    """Return colours of the head in sRGB: a spearhead mark between the eyes, a bar before them, stripes to the jaw."""
     border, eye, mouth = _head_marks(f, across)
     f, across = np.broadcast_arrays(f, np.abs(across))
 
-    # Signed distances from the edges of the marks: two prongs from the first saddle, which meet between the eyes, a
-    # bar, a stripe, and the neck.
+    # `red` is the signed distance from the nearest edge of a red mark, negative inside. The marks are two prongs from
+    # the neck, which meet between the eyes, a bar before the eyes, a stripe behind each eye, and the neck.
     prong = 0.095 * np.clip((f - 0.36) / 0.40, 0.0, 1.0) ** 0.8
     stripe = _EYE[1] + 0.14 * (f - _EYE[0])
     red = np.minimum.reduce(
@@ -598,7 +625,7 @@ def _head_pigment(f: Floats, across: Floats) -> Floats:
 
 
 def _mesh(vertices: Floats, faces: NDArray[np.int64], normals: Floats, uvs: Floats, colours: Floats) -> trimesh.Trimesh:
-    """Return a textured mesh of the used vertices; ``process=False`` preserves the seam and the free edges."""
+    """Return a textured mesh without unused vertices. Vertices with equal positions, as at the seam, are not merged."""
     import PIL.Image
     import trimesh
 

@@ -24,9 +24,10 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest default pitch [µm], a tenth of the shortest visible wavelength. A doubled pitch aliases for steep directions.
+# Largest default pitch [µm], a tenth of the shortest visible wavelength. With twice the pitch, directions near the
+# horizon suffer from aliasing.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge [ridges] at which its contribution is truncated; it is below 1e-40 there.
+# Distance from a ridge at which its contribution is truncated [distances of ridges]. Derived: it is below 1e-40 there.
 _RIDGE_REACH = 4.0
 
 
@@ -60,7 +61,7 @@ def lamellar(period_um: float, depth_um: float, *, duty: float = 0.5, samples: i
     Args:
         period_um: Period along x [µm], more than 0.
         depth_um: Peak-to-valley depth [µm], at least 0.
-        duty: Share of the period that is high, between 0 and 1, default 0.5.
+        duty: Fraction of the period with the height ``depth_um``, between 0 and 1, default 0.5.
         samples: Number of samples per period, at least 2; None, the default, is 64, or more for a pitch of at most
             0.04 µm.
 
@@ -112,11 +113,11 @@ def blazed(period_um: float, depth_um: float, *, samples: int | None = None) -> 
 
 
 def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> tuple[float, float, int]:
-    """Return period, depth and number of samples, checked."""
+    """Return the checked period, depth and number of samples of a one-dimensional grating."""
     period = validation.positive(period_um, "period_um")
     depth = validation.number(depth_um, "depth_um", least=0.0)
     if samples is None:
-        # With an even number of samples, one sample is at the valley of a sine.
+        # The number of samples is even, so that one sample is exactly at the valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
     memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
@@ -125,7 +126,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
 
 @dataclass(frozen=True)
 class _DiscFormat:
-    """Dimensions and run lengths of an optical disc format."""
+    """Dimensions [µm] and run lengths [channel bits] of an optical disc format."""
 
     track_pitch_um: float
     pit_width_um: float
@@ -216,13 +217,14 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Only the rows near the pit are processed.
+            # Only rows of samples near the pit are computed, to save time.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
             offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
             near = np.abs(offset) < half + dy
             rows, offset = rows[near], offset[near]
-            # The axis of a stadium is the pit without its two round ends; a pit that is shorter than wide is a disc.
+            # A pit is a stadium: the set of points within `radius` of an axis. The axis is shorter than the pit by its
+            # two round ends. A pit that is shorter than wide is a circle.
             beyond = np.maximum(np.abs(offset) - max(half - radius, 0.0), 0.0)
             distance = np.hypot(beyond[:, None], x) - min(radius, half)
             coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
@@ -231,12 +233,12 @@ def disc(
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
-    """Return an even number of run lengths, alternately of pits and lands, with the sum ``bits``."""
+    """Return random run lengths [channel bits] with the sum ``bits``: pits and lands in turn, an even number."""
     lengths = np.arange(form.shortest_run, form.longest_run + 1)
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
     runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
-    # Random runs are changed by one bit until the sum is right and the track closes.
+    # Random runs are lengthened or shortened by one bit until their sum is ``bits``, so that the track is periodic.
     while (missing := bits - int(runs.sum())) != 0:
         step = 1 if missing > 0 else -1
         free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
@@ -339,7 +341,7 @@ def fingers(
     memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # Lengths below are in units of the actual period and the actual length.
+    # The coordinates x and y are measured in periods of the ridges and in lengths of the fingers.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
@@ -352,12 +354,13 @@ def fingers(
         position = rng.normal(0.0, 0.05) + rng.normal(0.0, 0.025, size=rows)
         rise = rng.normal(1.0, 0.05, size=rows)
         breadth = rng.normal(1.0, 0.07, size=rows)
-        # For every y: the index of its finger, and its position on the finger, 0 at the tip to 1 at the next tip.
+        # For every y: the index of the finger there, and the position on this finger from 0 at its tip to 1 at the next
+        # tip.
         past = (y[:, None] - tips) % rows
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # Only columns near the ridge are processed; its contribution to others is less than rounding.
+        # Only columns near the ridge are processed. The contribution to other columns is smaller than rounding errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]
@@ -368,7 +371,7 @@ def fingers(
         weights[:, near_columns] += near
     ground /= weights
     heights = ground + (1.0 - ground) * top
-    # The blur represents the finite tip of the microscope, and the rounding of real fingers.
+    # The heights are blurred by a Gaussian, because a microscope tip of finite size and real fingers have round edges.
     spread = 0.06 * period
     factor_y = np.exp(-2.0 * (np.pi * spread * np.fft.fftfreq(ny, dy)) ** 2)
     factor_x = np.exp(-2.0 * (np.pi * spread * np.fft.rfftfreq(nx, dx)) ** 2)
@@ -378,5 +381,5 @@ def fingers(
 
 
 def _generator(seed: int) -> np.random.Generator:
-    """Return a random generator for ``seed``."""
+    """Return NumPy's random generator for a checked ``seed``."""
     return np.random.default_rng(validation.count(seed, "seed", least=0))

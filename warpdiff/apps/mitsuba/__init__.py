@@ -1,5 +1,5 @@
-"""Plug-in for Mitsuba 3: baked tables as a BSDF.
+"""Plug-in for the renderer Mitsuba 3, which uses baked tables as a BSDF.
 
-In: files of baked lobes or spectra.
+In: files of baked lobes or baked spectra.
 Out: a BSDF plug-in.
 """

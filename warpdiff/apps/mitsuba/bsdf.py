@@ -1,17 +1,19 @@
 """BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes.
 
-In spectral variants each wavelength of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and
-κ = w/λ; in RGB variants colours (``BakedLobes``) at (u, v) and w. Either is the absolute BRDF of ``warpdiff.brdf``,
+In spectral variants each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and
+κ = w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering vector.
+Both give the absolute BRDF of ``warpdiff.brdf``,
 
-    f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D,
+    f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 
-D the density of the reflected power over (u, v), which adds up to 1: 4πσ²/λ² ⟨|P|²⟩ for a window, and ⟨|P|²⟩ / 2πs² for
-the lobes of a source with the spread s. Scalar diffraction does not conserve energy, so the reflected power may exceed
-the incident power: the BSDF reflects the sum of the efficiencies of ``warpdiff.order_efficiencies``.
+R is the Fresnel reflectance, M the masking factor, and D the density of the reflected power over (u, v), which
+integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the spread s, D is ⟨|P|²⟩ / 2πs². Scalar
+diffraction does not conserve energy, so the reflected power may exceed the incident power. The ratio of both powers is
+the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 
-Directions are sampled through (u, v): q from cells in proportion to their power, or from the mean plane's Gaussian,
-then ωo = −ωi − λ q, with dω = λ²/cos θo dq. Of a ray's wavelengths one is drawn, and the density is the mean over all
-of them (hero wavelengths, Wilkie et al. 2014).
+Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
+or from the Gaussian lobe of the mean plane. Then ωo = −ωi − λ q, with dω = λ²/cos θo dq. The sampling draws one of the
+ray's wavelengths, and the density is the mean over all of them (hero wavelengths, Wilkie et al. 2014).
 """
 
 from __future__ import annotations
@@ -24,35 +26,38 @@ import numpy as np
 import warpdiff as wd
 from warpdiff.core.wording import ArgumentValueError, ref
 
-# A value, array or module of Mitsuba, whose type depends on the variant that is set at run time.
+# Type of Mitsuba's values, arrays and modules. The actual type depends on the variant, which is set at run time.
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# Shares of the densities that directions are drawn from. The even share covers the whole disc, so that no lobe is
-# missed. The others are the least and the largest share of the mean plane.
+# Probabilities of the sampling densities. Limits: they only change the noise. The uniform density over the disc avoids
+# missed lobes and has the first probability. The others are the bounds of the mean plane's probability.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
-# Texels along a side for colours.
+# Texels per side of the colour table. Limit: twice the number needs four times the memory.
 _SIZE = 1024
-# |κ| at which the spectrum is sampled, as a share of the range; w at which colours are.
+# Values of κ (as a fraction of its range) and of w whose power gives the cells' probabilities. Limits: they only change
+# the noise.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
-# Least cosine of a direction. Limit: the geometry factor diverges at the horizon.
+# Least cosine between a direction and the normal; below it the BSDF is zero. Limit: the geometry factor diverges at the
+# horizon.
 _LEAST_COSINE = 1e-4
 
 
 def register_mitsuba_bsdf(name: str = NAME) -> None:
     """Register the plug-in with Mitsuba, for its current variant.
 
-    A BSDF of a scene is then ``{"type": "warpdiff", "filename": "lobes.npz"}``, with the options ``ior`` (1.5) and
-    ``masking`` (True) of :func:`warpdiff.shade`. Spectral variants read a file of ``BakedSpectrum.save``, RGB variants
-    a file of ``BakedLobes.save``, baked for a source. The tangent is ∂P/∂u of the mesh's texture coordinates. Only the
-    outside of the surface reflects; a ``twosided`` BSDF around the plug-in reflects on both sides.
+    A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. Its options ``ior`` (default 1.5) and
+    ``masking`` (default True) are those of :func:`warpdiff.shade`. Spectral variants read a file of
+    ``BakedSpectrum.save``. RGB variants read a file of ``BakedLobes.save``, baked with ``Coherence("source")``. The
+    tangent is ∂P/∂u of the mesh's texture coordinates. Only the outside of the surface reflects. A ``twosided`` BSDF
+    around the plug-in reflects on both sides.
 
     Args:
         name: Name of the plug-in, an identifier.
 
     Raises:
         ImportError: Mitsuba is not installed: ``pip install 'warpdiff[mitsuba]'``.
-        RuntimeError: The variant is not set, is monochromatic, or polarised.
+        RuntimeError: Mitsuba's variant is not set, is monochromatic, or is polarised.
 
     Examples:
         >>> import warpdiff as wd
@@ -78,17 +83,22 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 class _Table:
     """Table of lobes, in arrays of Mitsuba's variant.
 
+    The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The argument of the functions is
+    κ = w/λ for a spectrum and w for colours.
+
     Attributes:
-        largest: Of u, v at the grid's edges, over λ in a spectrum.
-        grid: Coefficients over the grid, a channel for each.
-        functions: Functions of κ or w, a channel for each.
-        first: Where their first entry lies.
-        span: How far from there the last one does.
-        zeroth: The mean plane's power over the same.
-        deviation: Of the mean plane's lobe.
-        peak: 1/(2π deviation²), its density where it is largest.
-        cells: Probability of each cell to be drawn.
-        distribution: The same for Mitsuba.
+        largest: Largest coordinate of the grid along each axis.
+        size: Number of cells along each side of the grid.
+        grid: Coefficients of the functions over the grid, one channel per coefficient.
+        functions: Functions of κ or w, one channel per function.
+        entries: Number of samples of each function.
+        first: κ or w of the first sample.
+        span: Difference of κ or w between the last and the first sample.
+        zeroth: Power of the mean plane at each sample of κ or w.
+        deviation: Standard deviation of the mean plane's Gaussian lobe, in the grid's unit.
+        peak: Maximum density of the mean plane's lobe, 1/(2π deviation²).
+        per_cell: Density of a uniform distribution over one cell, 1 divided by the cell's area.
+        distribution: Probability of each cell for the sampling.
     """
 
     def __init__(
@@ -106,7 +116,8 @@ class _Table:
         self.zeroth = mi.Texture1f(mi.TensorXf(np.ascontiguousarray(zeroth, dtype=np.float32).reshape(len(zeroth), -1)))
         self.per_cell = (self.size / (2.0 * largest)) ** 2
         power = np.maximum(typical, 0.0)
-        # Values between cells are interpolated linearly, so that a cell is drawn as often as its brightest neighbour.
+        # The table is interpolated linearly between cells. A dark cell next to a bright one therefore reflects, too,
+        # and each cell gets the probability of its brightest neighbour.
         for axis in (0, 1):
             power = np.maximum.reduce([np.roll(power, step, axis) for step in (-1, 0, 1)])
         centres = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
@@ -118,39 +129,39 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """The place of κ or w among the entries of a texture, 0 to 1."""
+        """Return the texture coordinate (0 to 1) of a value of κ or w, in a texture with ``entries`` texels."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """The mean plane's power, or its colour."""
+        """Return the power of the mean plane at a value of κ, or its colour at a value of w."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
 
     def coefficients(self, x: Variant, y: Variant) -> Variant:
-        """Coefficients at a place of the grid."""
+        """Return the interpolated coefficients at the coordinates (x, y) of the grid."""
         import mitsuba as mi
 
         scale = 0.5 / self.largest
         return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
 
     def functions_at(self, value: Variant) -> Variant:
-        """Functions at κ or w."""
+        """Return the values of all functions at a value of κ or w."""
         import mitsuba as mi
 
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Density of the mean plane's lobe."""
+        """Return the density of the mean plane's Gaussian lobe at the coordinates (x, y) of the grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Density that cells are drawn with."""
+        """Return the sampling density of the grid's cells at the coordinates (x, y)."""
         import drjit as dr
         import mitsuba as mi
 
@@ -164,12 +175,12 @@ class _Table:
 
 
 def _spectrum(filename: str) -> _Table:
-    """The table of spectral variants, over q and κ."""
+    """Return the table of spectral variants, over q and κ, from a file of ``BakedSpectrum``."""
     baked = wd.BakedSpectrum.load(filename)
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # The density is over q, so that it integrates to 1.
+    # With this factor the density over q integrates to 1.
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,
@@ -178,7 +189,10 @@ def _spectrum(filename: str) -> _Table:
 
 
 def _colours(filename: str) -> _Table:
-    """The table of RGB variants, over (u, v) and w: red, green and blue of each function one after the other."""
+    """Return the table of RGB variants, over (u, v) and w, from a file of ``BakedLobes``.
+
+    The channels of the grid are red, green and blue of the first function, then those of the second, and so on.
+    """
     import mitsuba as mi
 
     baked = wd.BakedLobes.load(filename)
@@ -206,14 +220,18 @@ def _colours(filename: str) -> _Table:
 
 
 def _bsdf_class(table_of: Variant) -> Variant:
-    """The plug-in's class for the variant that is set."""
+    """Return the plug-in's class for Mitsuba's current variant.
+
+    Args:
+        table_of: Function that returns the table of a file, given its name.
+    """
     import drjit as dr
     import mitsuba as mi
 
     spectral = bool(mi.is_spectral)
 
     class WarpdiffBSDF(mi.BSDF):  # type: ignore[misc]
-        """Lobes of a height field; see the module."""
+        """BSDF of a height field from baked lobes; the module's docstring has the formulas."""
 
         def __init__(self, props: Variant) -> None:
             mi.BSDF.__init__(self, props)
@@ -226,23 +244,26 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """λ [µm] of each of a ray's wavelengths; 1 for colours."""
+            """Return the ray's wavelengths in µm, the scale from q to (u, v); 1 for colours."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
 
         def _reflectance(self, cosine: Variant) -> Variant:
-            """The one material: Schlick's power reflectance."""
+            """Return Schlick's approximation of the power reflectance at the cosine of an angle of incidence."""
             rest = 1.0 - dr.minimum(cosine, 1.0)
             return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
 
         def _mirror_share(self, cos_i: Variant, scale: Variant) -> Variant:
-            """How often the mean plane's lobe is drawn: in proportion to its density in the mirror direction."""
+            """Return the probability that the sampling draws the mean plane's lobe, for one wavelength.
+
+            The probability is the mean plane's power in the mirror direction, limited to the range from 0.05 to 0.9.
+            """
             power = self._table.zeroth_at(2.0 * cos_i / scale)
             return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
 
         def _density(self, si: Variant, wo: Variant) -> Variant:
-            """Density of directions that are drawn."""
+            """Return the density with which the sampling draws the direction ``wo`` [1/sr]."""
             table, total = self._table, mi.Float(0.0)
             scales = self._scales(si)
             for scale in scales:
@@ -253,7 +274,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return total * wo.z / len(scales)
 
         def _value(self, si: Variant, wo: Variant) -> Variant:
-            """The BRDF times cos θo."""
+            """Return the BRDF times cos θo for the direction ``wo``."""
             table, wi = self._table, si.wi
             half = wi + wo
             w, overlap = half.z, 0.5 * dr.squared_norm(half)
@@ -271,7 +292,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
                     power = mi.Float(0.0)
                     for k in range(len(functions)):
                         power += coefficients[channels * k + channel] * functions[k]
-                    # A spectrum has no negative part; colours of narrow bands have.
+                    # Negative interpolated power is set to 0. RGB colours outside of the sRGB gamut remain negative.
                     power = dr.maximum(power, 0.0) if spectral else power
                     values.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
             return mi.Spectrum(*values) if spectral else mi.Color3f(*values)
@@ -282,7 +303,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
         def sample(
             self, _ctx: Variant, si: Variant, sample1: Variant, sample2: Variant, active: Variant = True
         ) -> Variant:
-            """Draw a direction; returns a ``BSDFSample3f`` and the BRDF times cos θo over its density."""
+            """Draw a direction; return a ``BSDFSample3f``, and the BRDF times cos θo over the sampling density."""
             scales, table = self._scales(si), self._table
             at = sample1 * len(scales)
             scale = scales[-1]
@@ -308,19 +329,19 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return result, dr.select(visible, self._value(si, wo) / dr.select(visible, density, 1.0), 0.0)
 
         def eval(self, _ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
-            """The BRDF times cos θo."""
+            """Return the BRDF times cos θo for the direction ``wo``."""
             return dr.select(self._is_visible(si, wo, active), self._value(si, wo), 0.0)
 
         def pdf(self, _ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
-            """Density of directions that ``sample`` draws [1/sr]."""
+            """Return the density with which ``sample`` draws the direction ``wo`` [1/sr]."""
             return dr.select(self._is_visible(si, wo, active), self._density(si, wo), 0.0)
 
         def eval_pdf(self, ctx: Variant, si: Variant, wo: Variant, active: Variant = True) -> Variant:
-            """Both."""
+            """Return the BRDF times cos θo, and the sampling density."""
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
         def to_string(self) -> str:
-            """Name the table."""
+            """Return the plug-in's name and the table's size."""
             return f"WarpdiffBSDF[{self._table.size} × {self._table.size} cells]"
 
     return WarpdiffBSDF

@@ -19,7 +19,16 @@ _WRITERS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def check_target(path: Any, suffixes: Sequence[str]) -> Path:
-    """Return the path of an animated file of PNG frames; refuse one that cannot be written."""
+    """Return the checked path of an animated file.
+
+    Args:
+        path: Path that the user gave.
+        suffixes: Suffixes of the frames' files; the animation requires ``".png"``.
+
+    Raises:
+        ValueError: The suffix is unknown, or there are no PNG frames.
+        OSError: The file cannot be written there.
+    """
     target = validation.path(path, "animation")
     if target.suffix.lower() not in _WRITERS:
         raise ArgumentValueError(f"{ref('animation')} must end in {', '.join(_WRITERS)}, got {target.name!r}")
@@ -34,7 +43,10 @@ def check_target(path: Any, suffixes: Sequence[str]) -> Path:
 
 
 def write(target: Path, frames: Sequence[Path], frames_per_second: float) -> None:
-    """Write frames that lie in files into one that loops for ever, one frame in memory at a time where that goes."""
+    """Write the frames of several files into one animated file, which loops forever.
+
+    Frames are loaded one at a time. Whether Pillow keeps them all in memory depends on the format.
+    """
     kind, options = _WRITERS[target.suffix.lower()]
     first, *rest = frames
     with files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
@@ -49,12 +61,12 @@ def _opened(path: Path) -> Image:
 
     with Image.open(path) as picture:
         picture.load()
-        # Pillow writes 16 bits in no animated file.
+        # Pillow cannot write animated files with 16 bits per channel, so that frames are converted to 8 bits.
         return picture.convert("RGBA" if "A" in picture.getbands() else "RGB")
 
 
 class _Opened:
-    """Frames that are opened one at a time; some writers read them more than once."""
+    """Frames that are opened one at a time. Some of Pillow's writers iterate over the frames more than once."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths

@@ -1,6 +1,6 @@
-"""Files of one frame, drawn in this process or by workers of a Dask cluster: the bytes are the same.
+"""Rendering of the files of one frame, in this process or by workers of a Dask cluster, with identical bytes.
 
-Workers (https://distributed.dask.org) may join or leave.
+Workers (https://distributed.dask.org) may join or leave the cluster during a sequence.
 """
 
 from __future__ import annotations
@@ -25,21 +25,24 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import Light
     from warpdiff.render.renderer import Renderer
 
-# How often a frame may be lost with its worker, or all that was sent there.
+# Number of times that a lost frame, or the lost renderer of all workers, is sent again. Limit: a worker that always
+# crashes must end the sequence. Twice the number only delays the error.
 _RETRIES = 5
-# Frames that are given out for each thread of a worker: what comes back waits to be written.
+# Number of submitted frames per thread of a worker. Limit: finished frames wait in memory until they are written. Twice
+# the number needs twice the memory.
 _AHEAD = 2
-# Limit: skies whose arrays are kept, so that those at rest are not uploaded again.
+# Number of environments whose arrays of 14 MB stay on the device. Limit: twice the number needs twice the memory. An
+# environment that is the same in all frames is then uploaded only once.
 _MOST_SKIES = 2
 
 
 @dataclass(frozen=True)
 class FrameJob:
-    """The part of the work that all frames of a sequence share.
+    """Description of the work that all frames of a sequence share.
 
     Attributes:
-        key: Hash of everything that the frames depend on.
-        suffixes: Suffixes of a frame's files: ``".png"``, ``".exr"``.
+        key: Hash of all inputs of the frames: renderer, shots and options.
+        suffixes: Suffixes of each frame's files: ``".png"``, ``".exr"``.
         saving: Keyword arguments of ``Image.save`` by suffix.
     """
 
@@ -49,10 +52,10 @@ class FrameJob:
 
 
 class FrameRenderer:
-    """Draws the frames of a sequence.
+    """Renderer of the frames of a sequence, which limits the memory of environment lights.
 
     Attributes:
-        renderer: The renderer.
+        renderer: Renderer of the pictures.
     """
 
     def __init__(self, renderer: Renderer) -> None:
@@ -66,7 +69,11 @@ class FrameRenderer:
         return self.renderer.image()
 
     def _transient(self, light: Light) -> Light:
-        """Return a light that no shot holds: the arrays of a sky, 14 MB, would stay with its shot."""
+        """Return a copy of an environment light, and other lights unchanged.
+
+        An environment keeps its arrays of 14 MB as long as it exists. The arrays of a shot's own environment would stay
+        in memory for the whole sequence; those of the last few copies are freed.
+        """
         if not isinstance(light, Environment):
             return light
         return self._skies.get_or_make(light, functools.partial(copy.copy, light))
@@ -75,7 +82,7 @@ class FrameRenderer:
 def draw_frame(
     job: FrameJob, renderer: FrameRenderer, shot: Shot, progress: Callable[[float], None] | None = None
 ) -> dict[str, bytes]:
-    """Return the contents of a frame's files by suffix."""
+    """Draw one frame, and return the contents of its files by suffix."""
     image = renderer.draw(shot, progress)
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
         return {
@@ -84,17 +91,23 @@ def draw_frame(
         }
 
 
-# The renderer and the shots of a worker by the key of its sequence: only the last ones stay.
+# Renderer and shots of the last sequence that this worker process has drawn, by the sequence's key.
 _sequences: dict[str, tuple[FrameRenderer, Sequence[Shot]]] = {}
 _making = threading.Lock()
 
 
 def draw_in_worker(job: FrameJob, pickled: bytes, index: int) -> dict[str, bytes]:
-    """Return the same in a worker, which makes the renderer once for all frames that it draws."""
+    """Draw one frame in a worker process, and return the contents of its files by suffix.
+
+    Args:
+        job: Work that all frames share.
+        pickled: Pickle of the renderer and the shots. A worker unpickles it once per sequence.
+        index: Index of the frame.
+    """
     with _making:
         if job.key not in _sequences:
             _sequences.clear()
-            renderer, shots = pickle.loads(pickled)  # noqa: S301 (the caller's own, as all that Dask carries)
+            renderer, shots = pickle.loads(pickled)  # noqa: S301 (Dask itself unpickles data of the same caller)
             _sequences[job.key] = FrameRenderer(renderer), shots
         frame_renderer, shots = _sequences[job.key]
     return draw_frame(job, frame_renderer, shots[index])
@@ -103,10 +116,11 @@ def draw_in_worker(job: FrameJob, pickled: bytes, index: int) -> dict[str, bytes
 def draw_by_workers(
     client: Any, job: FrameJob, renderer: Renderer, shots: Sequence[Shot], indices: Sequence[int]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
-    """Frames by their index, in the order in which they are ready; the first error ends it.
+    """Yield the index and the files of each frame, in the order in which workers finish them.
 
-    Renderer and shots go to each worker once, in one pickle, where the shots share the images of environments. A frame
-    whose worker is lost goes to another one; where all that hold the pickle are lost, it is sent again.
+    Each worker receives the renderer and the shots once, in one pickle, in which the shots share the images of
+    environments. If a worker is lost, another worker draws its frame. If all workers with the pickle are lost, the
+    pickle is sent again. The first error of a frame ends the iteration.
     """
     from distributed import CancelledError, as_completed
 
@@ -137,7 +151,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # Scattered data is lost with its workers, and cannot be computed again.
+            # All workers with the pickle are lost. Dask cannot recompute scattered data, so that the next attempt sends
+            # the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

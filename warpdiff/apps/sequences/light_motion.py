@@ -1,4 +1,4 @@
-"""Lights that move: rotated about an axis through a point."""
+"""Moving lights, which rotate about an axis through a point."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.base import Light
 
-# Largest sine of the angle between an axis and the vertical for which skies rotate.
+# Largest sine of the angle between the rotation axis and the vertical at which an environment light can rotate. Limit:
+# far above rounding errors. The horizon of an environment is always level.
 _VERTICAL = 1e-6
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """Rotation of lights.
+    """Rotation of lights about an axis.
 
     Attributes:
         axis: Unit vector along the axis, world frame.
-        angle: Angle, counter-clockwise as seen from the axis's tip [rad].
+        angle: Rotation angle, counter-clockwise as seen from the axis's tip [rad].
         centre: Point on the axis, world frame.
     """
 
@@ -41,19 +42,19 @@ class Rotation:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """The matrix of the rotation about the origin (Rodrigues)."""
+        """Matrix of the rotation about a parallel axis through the origin, by Rodrigues' formula, shape (3, 3)."""
         x, y, z = self.axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         return np.asarray(np.eye(3) + math.sin(self.angle) * cross + (1.0 - math.cos(self.angle)) * cross @ cross)
 
     def rotated(self, lights: Sequence[Light]) -> tuple[Light, ...]:
-        """Return rotated lights: directions, positions, and skies, which rotate about +y only."""
+        """Return the rotated lights. Environment lights can rotate about +y or −y only."""
         if self.angle == 0.0:
             return tuple(lights)
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
 
     def _rotated(self, light: Light, name: str) -> Light:
-        # A kind that is derived from one of these may have further directions, which would stay.
+        # Subclasses of these lights are rejected: they may have further directions, which this method cannot rotate.
         if type(light) is DirectionalLight:
             return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
         if type(light) is PointLight:
@@ -71,12 +72,12 @@ class Rotation:
                 "or let the light stay"
             )
         degrees = light.rotation_deg + math.copysign(1.0, self.axis[1]) * math.degrees(self.angle)
-        # The shots share the sky's maps.
+        # The rotated environment shares its radiance maps with the original.
         return with_settings(light, math.remainder(degrees, 360.0), light.scale, light.directions)
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from a point towards a light that leads a sweep."""
+    """Return the unit vector from the point ``centre`` towards the first light of a sweep."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

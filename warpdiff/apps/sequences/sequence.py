@@ -1,4 +1,4 @@
-"""``sequence``: frames of one surface, drawn in this process or by Dask workers; interrupted sequences resume."""
+"""Function ``sequence``, which renders the frames of a sequence in this process or by Dask workers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from warpdiff.image.display_transform import MEAN_SHOWN, Display, GamutName
 from warpdiff.image.image import MOST_STOPS, PNG_END, Bits
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
-from warpdiff.render.renderer import Renderer  # noqa: TC001 (``checked`` reads annotations)
+from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 
 Format = Literal[".png", ".exr"]
 FORMATS: tuple[Format, ...] = get_args(Format)
-# Version of the hash of a sequence; it counts up when the same arguments make other frames or another hash.
+# Version of the hash of a sequence. It must increase when a new release makes other frames from the same arguments.
 _VERSION = 2
 _MANIFEST = "sequence.json"
-# Number of frames that automatic exposure is measured from, and the longer side of these frames in pixels.
+# Number of frames from which automatic exposure is measured, and the longer side of these frames in pixels. Limits: the
+# measurement must be much faster than one frame. Twice the width needs four times as long.
 _METERED, _METERED_WIDTH = 16, 160
 
 
@@ -63,7 +64,7 @@ def sequence(
         shots: Lights and camera of each frame; views have the size of the renderer's pictures.
         folder: Folder of the frames; it is created if it does not exist.
         formats: File formats of each frame: ``".png"``, ``".exr"``, or both.
-        animation: Animated file of the PNG frames: ``.webp``, ``.png`` (APNG) or ``.gif``. None makes none.
+        animation: Animated file of the PNG frames: ``.webp``, ``.png`` (APNG) or ``.gif``. None writes no animation.
         frames_per_second: Frame rate of the animation.
         display: Display transform of PNG files, as for :meth:`warpdiff.Image.save`.
         exposure: Linear factor of the light in all frames. None is automatic: the geometric mean of the automatic
@@ -73,16 +74,17 @@ def sequence(
         background: Encoded colour (R, G, B) behind PNG frames, components from 0 to 1; None leaves it transparent.
         bits: Bits per channel of PNG files.
         overwrite: Whether frames of another sequence in the folder are deleted; otherwise they are an error.
-        client: ``distributed.Client`` whose workers draw the frames, which this process writes to files. Each worker
-            receives the renderer once and keeps its tables; lost workers are replaced.
-        progress: Callable that gets the share that is done, 0 to 1, also within frames that this process draws; True
-            shows a bar. The share of whole frames counts those that exist. An exception that it raises ends the call.
+        client: ``distributed.Client`` whose workers draw the frames. This process writes the files. Each worker
+            receives the renderer once and keeps its tables; frames of lost workers are drawn by other workers.
+        progress: Callable that gets the finished fraction of the sequence, 0 to 1, also within frames that this process
+            draws; True shows a bar. Frames that existed before count as finished. An exception that the callable raises
+            ends the call.
 
     Returns:
         Paths of the frames in order, those of the first format, then those of the second.
 
     Raises:
-        ValueError: An argument is not accepted, or the folder holds frames of another sequence.
+        ValueError: An argument is not accepted, or the folder contains frames of another sequence.
         OSError: A file cannot be written; existing frames are unchanged.
 
     Examples:
@@ -131,7 +133,7 @@ def sequence(
     report(done / len(shots))
 
     def report_within(share: float) -> None:
-        # Only a frame that is written is a whole one.
+        # The fraction 1 of a frame is reported only after its files are written.
         if share < 1.0:
             report((done + share) / len(shots))
 
@@ -150,7 +152,16 @@ def _draw(
     job: FrameJob, renderer: Renderer, shots: Sequence[Shot], missing: Sequence[int], client: Any,
     progress: Callable[[float], None],
 ) -> Iterator[tuple[int, dict[str, bytes]]]:  # fmt: skip
-    """Frames that are missing, in the order of rendering; this process reports the progress of each of its own."""
+    """Yield the index and the files of each missing frame, in the order of rendering.
+
+    Args:
+        job: Work that all frames share.
+        renderer: Renderer of the frames.
+        shots: Lights and camera of every frame.
+        missing: Indices of the frames to draw.
+        client: Dask client whose workers draw the frames; None draws them in this process.
+        progress: Callable that gets the finished fraction of the current frame, if this process draws it.
+    """
     if client is None:
         frame_renderer = FrameRenderer(renderer)
         for index in missing:
@@ -173,27 +184,28 @@ def _check_shots(shots: Any, renderer: Renderer) -> None:
 
 
 def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
-    """A hash of all that frames depend on."""
+    """Return a hash of everything that determines the frames: renderer, shots and options of the files."""
     digest = hashlib.sha256(str(_VERSION).encode())
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings, heightfield = state["settings"], state["heightfield"]
-    # The plan is what tolerance, method and integration have led to.
+    # The plan replaces tolerance, method and integration, from which it was computed.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})
     device = settings.device.partition(":")[0]
     _feed(digest, (device, state["surface"], heightfield.heights_um, heightfield.pitch_um))
     radiances: dict[int, str] = {}
-    # A hundred thousand of them are soon written.
+    # Each shot is hashed as its text (``repr``), because this is fast enough for 100,000 shots.
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The repr of a spectrum is its name, that of an environment its rounded settings.
+            # The text of a shot contains only the name of a spectrum and the rounded settings of an environment. The
+            # arrays of both are therefore hashed as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):
-                # Skies that rotate share their image.
+                # Environments that differ only in their rotation share one image, which is hashed once.
                 image = np.asarray(light.radiance_rgb)
                 radiances[id(image)] = radiances.get(id(image)) or hashlib.sha256(image.tobytes()).hexdigest()
                 _feed(digest, (image.shape, radiances[id(image)], light.rotation_deg, light.scale, light.directions))
@@ -201,7 +213,7 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Add a value of any kind."""
+    """Add a value to a hash: an array, a dataclass, a mapping, a sequence, or any object with a repr."""
     if isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)
@@ -219,7 +231,13 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
-    """Return what a folder records about its frames; frames of another sequence are deleted."""
+    """Return the manifest of a folder: key and exposure of its frames; an empty one if the folder has no frames.
+
+    Args:
+        folder: Folder of the frames.
+        key: Hash of the sequence to draw.
+        overwrite: Whether frames of another sequence are deleted; otherwise they raise a ``ValueError``.
+    """
     path = folder / _MANIFEST
     manifest: dict[str, Any] = {}
     if path.exists():
@@ -238,7 +256,7 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
             f"{ref('folder')}: {folder} holds frames of another sequence, with other arguments: name another folder, "
             f"or give {ref('overwrite', True)}"
         )
-    # First of all, so that none of them is taken for a new one.
+    # The manifest is deleted before the frames. After an interruption, old frames cannot be mistaken for new ones.
     path.unlink(missing_ok=True)
     for frame in folder.glob("frame_*"):
         if frame.suffix in FORMATS:
@@ -247,7 +265,14 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
 
 
 def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report: Callable[[float], None]) -> float:
-    """One exposure for all frames; ``report`` is called after each that is measured."""
+    """Return one exposure factor for all frames, measured from up to 16 small unrefined frames.
+
+    Args:
+        renderer: Renderer of the full frames.
+        shots: Lights and camera of every frame.
+        display: Display transform, which determines the mean brightness.
+        report: Callable that is called with 0 after each measured frame, so that a user can cancel.
+    """
     view = shots[0].view
     scale = min(_METERED_WIDTH / max(view.width, view.height), 1.0)
     width, height = max(round(scale * view.width), 1), max(round(scale * view.height), 1)
@@ -257,7 +282,7 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
     for shot in chosen:
         image = small.draw(Shot(shot.lights, dataclasses.replace(shot.view, width=width, height=height)))
         report(0.0)
-        # A black picture says nothing.
+        # A black picture has no automatic exposure.
         if image.xyz[..., 1].max(initial=0.0) > 0.0:
             logarithms.append(math.log(image.auto_exposure))
     mean = math.exp(sum(logarithms) / len(logarithms)) if logarithms else 1.0
@@ -266,19 +291,22 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
 
 
 def _is_whole(path: Path, shot: Shot) -> bool:
-    """Whether a frame is there with its size and its end, as far as it is known without reading all of it."""
+    """Whether a frame's file exists, has the size of the shot, and is complete.
+
+    The check reads only the header and the last part of the file.
+    """
     if not path.is_file():
         return False
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            # Or it is printed when the process ends.
+            # OpenImageIO prints errors that nobody has read when the process ends.
             oiio.geterror()
             return False
         spec = source.spec()
         is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
         if path.suffix == ".exr" and is_whole:
-            # The last rows come last.
+            # A complete EXR file ends with the last row of pixels.
             is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
             source.geterror()
         source.close()

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Limit: an hour at 24 frames per second; a shot requires some kilobytes.
+# Largest number of shots. Limit: an hour at 24 frames per second is 86,400 frames. A shot needs a few kilobytes.
 MOST_SHOTS = 100_000
-# Limit: more turns are a mistake in the unit.
+# Largest number of turns. Limit: a larger number is probably a mistake in the unit.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]
-# Least sine of the angle between two directions that define a great circle.
+# Least sine of the angle between two directions that define a great circle. Limit: below it the axis is rounding error.
 _LEAST_SINE = 1e-9
 _COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 _MORE_COLUMNS = ("up_x", "up_y", "up_z", "fov_y_deg")
@@ -64,9 +64,9 @@ class Shot:
 def turntable(
     lights: Light | Sequence[Light], view: View, *, count: Count = 36, turns: Turns = 1.0, lights_follow: bool = True,
 ) -> list[Shot]:  # fmt: skip
-    """Make the shots of a body that turns about the view's target, around its ``up``.
+    """Make the shots of a body that rotates about the axis through the view's target along the view's ``up``.
 
-    :meth:`warpdiff.View.fit` makes a view that holds the body in all frames::
+    :meth:`warpdiff.View.fit` returns a view that shows the whole body in all frames::
 
         body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 1.0, 0.5))
         shots = wd.turntable([sky, wd.PointLight((0.0, 2.0, 1.0))], wd.View.fit(body, turning=True))
@@ -76,8 +76,8 @@ def turntable(
         view: Camera of the first frame.
         count: Number of frames, evenly spaced; the frame after the last one equals the first.
         turns: Number of turns in total, counter-clockwise as seen from above; negative numbers turn clockwise.
-        lights_follow: Whether camera and lights are at rest while the body turns; otherwise the camera moves around the
-            body, and body and lights are at rest. Environments follow cameras whose ``up`` is +y or −y.
+        lights_follow: Whether the body turns while camera and lights are at rest. Otherwise the camera moves around the
+            body, and body and lights are at rest. With True, environments require an ``up`` of +y or −y.
 
     Returns:
         The shots.
@@ -98,7 +98,7 @@ def turntable(
     target, offset = np.array(view.target), np.subtract(view.eye, view.target)
     shots = []
     for k in range(count):
-        # Against the body's turn.
+        # The body stays fixed in the world frame. Camera and lights rotate in the opposite direction.
         rotation = Rotation(axis, -angle * k, target)
         eye = target + rotation.matrix @ offset if k else np.array(view.eye)
         moved = rotation.rotated(lights) if lights_follow else tuple(lights)
@@ -113,8 +113,8 @@ def light_sweep(
 ) -> list[Shot]:  # fmt: skip
     """Make the shots of lights that move at a constant rate while body and camera are at rest.
 
-    Directional lights and discs change their direction. Point lights move about the view's target, at their distance
-    from it. Environments rotate about +y. Several lights move together, as if they were fixed to each other::
+    Directional lights and discs change their direction. Point lights move on a circle around the view's target.
+    Environments rotate about +y. Several lights move together, as if they were fixed to each other::
 
         view = wd.View.fit(wd.meshes.snake(), width=480, height=260)
         shots = wd.light_sweep(wd.PointLight((0.0, 2.0, 1.0)), view, (1.0, 1.0, 0.0))  # along a great circle
@@ -122,12 +122,12 @@ def light_sweep(
 
     Args:
         lights: Light of the first frame, or several; with ``to_light`` the first one is a directional or a point light.
-        view: Camera.
+        view: Camera of all frames.
         to_light: Direction from the view's target to the first light in the last frame, world frame, shape (3,); it is
-            normalised. The light moves along the great circle, and both ends are frames.
+            normalised. The light moves along the great circle. The first and the last frame are at its two ends.
         turns: Number of turns around the view's ``up``, instead of ``to_light``, counter-clockwise as seen from above;
-            negative numbers turn clockwise. The frame after the last one completes the turns. Environments require an
-            ``up`` of +y or −y.
+            negative numbers turn clockwise. The frame after the last one would complete the turns. Environments require
+            an ``up`` of +y or −y.
         count: Number of frames.
 
     Returns:
@@ -157,7 +157,7 @@ def light_sweep(
 
 
 def _great_circle(begin: NDArray[np.float64], to_light: Any) -> tuple[NDArray[np.float64], float]:
-    """Return axis and angle of the shortest rotation of a direction to another one."""
+    """Return axis and angle [rad] of the shortest rotation from the direction ``begin`` to ``to_light``."""
     end = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0][0]
     axis = np.cross(begin, end)
     sine, cosine = float(np.linalg.norm(axis)), float(begin @ end)
@@ -183,8 +183,8 @@ def camera_path(
             ``fov_y_deg``.
         lights: Light of all frames, or several, of any kind; they are at rest.
         view: Camera that supplies the image size, and ``up`` and ``fov_y_deg`` if the file has none.
-        count: Number of frames, with the first and the last row, interpolated by monotone cubics through the rows,
-            which are evenly spaced. None makes one frame per row.
+        count: Number of frames, interpolated by monotone cubics through the rows, which are evenly spaced in time. The
+            first and the last frame are the first and the last row. None makes one frame per row.
 
     Returns:
         The shots.
@@ -224,7 +224,7 @@ def camera_path(
 
 
 def _check_lights(lights: Any) -> list[Light]:
-    """Return the lights of a shot as a list."""
+    """Return one light or several as a checked list."""
     result = [lights] if isinstance(lights, Light) else lights
     if not isinstance(result, (list, tuple)) or not result:
         raise ArgumentTypeError(
@@ -239,7 +239,7 @@ def _check_lights(lights: Any) -> list[Light]:
 
 
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
-    """Names of a file's columns, and its numbers."""
+    """Return the names of the columns of a CSV file, and its numbers, shape (rows, columns)."""
     source = validation.path(path, "path")
     try:
         with naming_file(source), source.open(encoding="utf-8-sig", newline="") as file:
@@ -274,7 +274,7 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """So many rows from the first to the last."""
+    """Interpolate ``count`` rows by monotone cubics through the given rows, including the first and the last one."""
     from scipy.interpolate import PchipInterpolator
 
     if len(rows) == 1:

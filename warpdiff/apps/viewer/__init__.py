@@ -1,5 +1,5 @@
-"""Interactive viewer: a page with a body, lights and a surface, and the server that renders for it.
+"""Interactive viewer: a web page that shows a body, and the server that renders the pictures.
 
-In: the settings of a page, files named on the command line.
-Out: pictures of increasing quality; files and lines of code that reproduce them.
+In: values of the page's controls, files named on the command line.
+Out: pictures of increasing quality; picture files; lines of code that reproduce a picture.
 """

@@ -1,4 +1,4 @@
-"""Controls of the viewer's page: options of the library with the page's labels, groups and sliders.
+"""Controls of the viewer's page: options of the library with labels, groups and sliders.
 
 Type, choices, unit and meaning come from the descriptions of options. An option of pictures that has no entry in
 :func:`controls` gets a control from its description alone.
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 BODIES = {"snake": "snake", "tube": "tube", "disc": "disc"}
-# Bodies whose texture also has a direction along the body.
+# Long bodies, on which the height field's x axis can point around or along the body.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {
     "fingers": "nano-fingers", "bumps": "bumps", "sinusoidal": "sinusoidal", "lamellar": "lamellar", "blazed": "blazed",
@@ -40,52 +40,53 @@ METALS = {
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Options of pictures without a control of their own.
+# Options of pictures that get no control of the same name.
 EXCLUDED = (
-    # Set by other controls: by those of coherence and material, and by the x axis of the height field.
+    # Several other controls set these options: those of coherence, of the material, and of the height field's x axis.
     *("coherence", "material", "tangents"),
-    # Set by the command that starts the viewer.
+    # The command line that starts the viewer sets these options.
     *("device", "threads"),
-    # The viewer refines in stages, the last of which meets the tolerance.
+    # The viewer sets these options, because it refines a picture in stages down to the tolerance.
     *("tolerance", "refine", "strict", "plan"),
-    # The planner selects them by the tolerance and the coherence.
+    # The planner selects these options from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
 )
 _SKY = "Environment"
-# The sky that is no file.
+# Value of the environment control that selects the computed clear sky instead of a file.
 CLEAR_SKY = "clear sky"
-# Label and meaning of two controls.
+# Label and meaning that the controls "along" and "tangent" share.
 _X_AXIS = "x axis of the height field", "Direction of the height field's x axis on the body."
 _DIRECTIONS = {0: "64", 16: "16", 256: "256", 1024: "1024"}
 _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
-# Heights of a picture [pixels].
+# Offered heights of a picture [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
-# Words for arguments of the library that no control sets.
+# Names on the page of the library's arguments that no control sets. Error messages print these names.
 _WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
 _UNITS = {"um": "µm", "deg": "°"}
-# Lowest value, highest value and step.
+# Lowest value, highest value and step of a slider; None is no slider.
 Slider = tuple[float, float, float] | None
 _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 
 @dataclass(frozen=True)
 class Control:
-    """A control of the page.
+    """Control of the page.
 
     Attributes:
-        option: Type, choices, meaning, unit and default.
-        group: Heading that it stands under.
-        label: Text next to it.
-        slider: Lowest value, highest value and step of a number.
+        option: Description of the option: type, choices, meaning, unit and default.
+        group: Heading of the group that contains the control.
+        label: Text next to the control.
+        slider: Lowest value, highest value and step, for a number.
         log: Whether the slider is logarithmic.
-        shown_if: Names of other controls, with their values for which this one is shown and has an effect.
-        default: Initial value; None is the option's.
-        labels: Texts of the choices, by value; empty for the values of the option.
-        name: Name on the page; empty is the option's.
-        call: Call that the value is an argument of: ``"picture"``, ``"coherence"``, ``"heightfield"``, ``"light"`` or
-            ``"environment"``; empty if the page uses it otherwise.
-        element: Index of the value in a pair (y, x); None is the whole value.
+        shown_if: Conditions for showing the control and using its value: names of other controls, each with the values
+            that fulfil the condition.
+        default: Initial value; None is the default of the option.
+        labels: Texts of the choices by value; empty prints the option's values.
+        name: Name of the control on the page; empty is the option's name.
+        call: Library call that gets the value as an argument: ``"picture"``, ``"coherence"``, ``"heightfield"``,
+            ``"light"`` or ``"environment"``; empty if the viewer uses the value in another way.
+        element: Index of the value in an option that is a pair (y, x); None if the value is the whole option.
     """
 
     option: Option
@@ -102,7 +103,7 @@ class Control:
 
     def __post_init__(self) -> None:
         default = self.option.default if self.default is None else self.default
-        # Frozen: these follow from the option.
+        # A frozen dataclass does not allow assignments, so that the derived values are set in its dictionary.
         vars(self).update(
             name=self.name or self.option.name,
             default=default if self.element is None or not isinstance(default, tuple) else default[self.element],
@@ -110,14 +111,14 @@ class Control:
         )
 
     def check(self, value: Any) -> Any:
-        """Return a value if it is one of this control's."""
+        """Return a value if the control accepts it; raise an error with the control's name otherwise."""
         if self.labels:
-            # Values from outside may have no hash.
+            # A value from a page may be a list, which has no hash, so that its type is checked before the look-up.
             if type(value) not in (str, int, float) or value not in self.labels:
                 names = ", ".join(map(repr, self.labels.values()))
                 raise ArgumentValueError(f"{ref(self.name)} must be one of {names}, got {value!r:.60}")
             return next(choice for choice in self.labels if choice == value)
-        # Words of the page, whose users know neither True nor str.
+        # The error messages avoid Python's words, such as True, because users of the page may not know Python.
         kinds, rule = (bool, "on or off") if self.slider is None else ((int, float), "a number")
         if not isinstance(value, kinds) or (self.slider and isinstance(value, bool)):
             raise ArgumentTypeError(f"{ref(self.name)} must be {rule}, got {value!r:.60}")
@@ -128,17 +129,17 @@ class Control:
         return round(number) if self.option.kind in ("integer", "integers") else number
 
     def is_shown(self, values: Mapping[str, Any]) -> bool:
-        """Whether the page shows it for these values, so that its own value counts."""
+        """Whether the page shows this control for the given values of all controls. A hidden control has no effect."""
         return all(values.get(name) in choices for name, choices in self.shown_if.items())
 
     @property
     def argument(self) -> str:
-        """The argument that it sets, as messages of the library name it."""
+        """Name of the argument that the control sets, as in the library's messages, for example ``periods[0]``."""
         return self.option.name if self.element is None else f"{self.option.name}[{self.element}]"
 
     @property
     def schema(self) -> dict[str, Any]:
-        """Its description in JSON, with the keys of JSON Schema; further ones are in ``"x-ui"``."""
+        """Description of the control for the page, with the keys of JSON Schema, and further keys in ``"x-ui"``."""
         low, high, step = self.slider or (None, None, None)
         kind = "integer" if self.option.kind in ("integer", "integers") else _JSON_TYPES[type(self.default)]
         described = {
@@ -156,10 +157,17 @@ class Control:
 def controls(
     meshes: Sequence[str] = (), heights: Sequence[str] = (), environments: Sequence[str] = ()
 ) -> dict[str, Control]:
-    """Return all controls by name; the page offers the files of meshes, height fields and skies of these names."""
+    """Return all controls of the page by name.
+
+    Args:
+        meshes: Names of mesh files that the page offers.
+        heights: Names of files of height fields that the page offers.
+        environments: Names of files of environment lights that the page offers.
+    """
     bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
-    # Pages with files of skies begin with the first one, others with a light.
+    # The first choice is the default. A page with environment files starts with the first file and no light. Other
+    # pages start with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, saving = describe(PictureSettings), describe(Coherence), describe(Image.save)
@@ -207,7 +215,7 @@ def controls(
                 name="environment_scale", call="environment"),
         Control(sky["directions"], _SKY, "directions per pixel", shown_if=any_sky, default=0, labels=_DIRECTIONS,
                 name="environment_directions", call="environment"),
-        # A mirror shows a radiance of 1 about 10,000 times as bright as a light of power 1.
+        # The default is 10,000: in a mirror, a radiance of 1 looks about 10,000 times as bright as a light of power 1.
         Control(light["power"], _SKY, "power of the light", (1.0, 1e6, 1.0), log=True, shown_if=any_sky | any_light,
                 default=1e4, name="light_power", call="light"),
         _own("environment_behind", _SKY, "show as background", "Whether it is the background.", True, shown_if=any_sky),
@@ -218,7 +226,7 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # A wider disc is several lobes in pictures that are not refined.
+        # Wider discs are not offered, because unrefined pictures show them as several separate lobes.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
@@ -252,21 +260,24 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control that sets no argument: a choice whose first value is the default, a number, or a flag."""
+    """Return a control that has no option in the library. It is a choice (with ``labels``), a flag or a number.
+
+    The default of a choice is its first value.
+    """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
     return Control(Option(name, kind, next(iter(labels or (default,))), text, unit=unit), group, label, **more)
 
 
 def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
-    """Return the control of an argument that these gratings share."""
+    """Return the control of an argument of the gratings ``kinds``. The page shows it only for these gratings."""
     option = describe(getattr(gratings, kinds[0]))[argument]
     more = {"name": f"{kinds[0]}_{argument}"} | more
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
 
 
 def _further(known: set[str]) -> list[Control]:
-    """Return the controls of the other options of pictures, as far as the page can show them."""
+    """Return controls for the options of pictures that are not in ``known``: flags, choices and bounded numbers."""
     result = []
     for option in describe(PictureSettings).values():
         slider: Slider = None
@@ -280,22 +291,22 @@ def _further(known: set[str]) -> list[Control]:
 
 
 def _plain(text: str) -> str:
-    """Return the meaning of an option without the marks of docstrings."""
+    """Return the help text of an option without reStructuredText markup."""
     return re.sub(r":\w+:`~?([^`]*)`|``([^`]*)``", lambda match: (match[1] or match[2]).replace('"', ""), text)
 
 
 def described(known: dict[str, Control]) -> list[dict[str, Any]]:
-    """Return the controls as the page receives them, in JSON."""
+    """Return the descriptions of all controls, which the page receives as JSON."""
     return [control.schema for control in known.values()]
 
 
 def defaults(known: dict[str, Control]) -> dict[str, Any]:
-    """Return the initial values."""
+    """Return the initial value of each control by name."""
     return {name: control.default for name, control in known.items()}
 
 
 def checked(known: dict[str, Control], values: Any) -> dict[str, Any]:
-    """Return a value for each control, the given one or its default; raise an error that names a wrong one."""
+    """Return a checked value for each control by name; controls that are absent from ``values`` get their default."""
     if not isinstance(values, dict):
         raise ArgumentTypeError("the values of the controls must be a JSON object")
     if unknown := [str(name)[:40] for name in values if name not in known]:
@@ -304,21 +315,27 @@ def checked(known: dict[str, Control], values: Any) -> dict[str, Any]:
 
 
 def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -> dict[str, Any]:
-    """Return the arguments of a call that shown controls set, without those that equal the library's default."""
+    """Return the keyword arguments that the shown controls set in a library call, without default values.
+
+    Args:
+        known: All controls by name.
+        values: Value of each control by name.
+        call: Library call, as in :class:`Control`.
+    """
     result: dict[str, Any] = {}
     standard: dict[str, Any] = {}
     for control in known.values():
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # For None the page begins with the value that the library then takes.
+            # If the library's default is None, the control's default is the value that the library then uses.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}
 
 
 def word(known: dict[str, Control], values: Mapping[str, Any]) -> Callable[[str, str | None], str]:
-    """Return the function that writes an argument as the page does: by the label of the control that sets it."""
+    """Return a function that replaces the name of an argument in a message by the label of the control that sets it."""
     labels = _WORDS | {control.name: control.label for control in known.values()}
     for control in known.values():
         if control.call and control.is_shown(values):

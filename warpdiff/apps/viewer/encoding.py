@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# Subsampled colours of a JPEG are wrong at narrow orders.
+# JPEG settings of previews. Chroma subsampling is off, because it makes the colours of narrow diffraction orders wrong.
 _JPEG = {"quality": 92, "subsampling": 0}
 
 
 def displayed(image: wd.Image, *, exact: bool, **options: Any) -> NDArray[np.uint8]:
-    """Return the result of :meth:`warpdiff.Image.display` in 8 bits, as its files have them."""
+    """Return the pixels of :meth:`warpdiff.Image.display` in 8 bits per channel, as in PNG files."""
     return np.round(255.0 * image.display(exact=exact, **options).astype(np.float64)).astype(np.uint8)
 
 
 def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:
-    """Return a PNG or a JPEG file."""
+    """Return the bytes of a PNG file (``lossless``) or of a JPEG file."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -40,8 +40,8 @@ def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:
 
 
 def saved(image: wd.Image, suffix: str, options: Mapping[str, Any]) -> bytes:
-    """Return a file as :meth:`warpdiff.Image.save` writes it."""
-    # EXR files are linear and hold alpha.
+    """Return the bytes of a file that :meth:`warpdiff.Image.save` writes, ``suffix`` being ``png`` or ``exr``."""
+    # EXR files are scene-linear and have an alpha channel, so that display transform and background do not apply.
     options = options if suffix == "png" else {}
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
         return image.save(Path(folder) / f"picture.{suffix}", **options).read_bytes()

@@ -1,4 +1,4 @@
-"""Bodies of the viewer: sample bodies from the disk cache, their framing, and local directions at a pixel."""
+"""Bodies of the viewer: meshes and height fields from the disk cache, cameras, and local directions at a pixel."""
 
 from __future__ import annotations
 
@@ -21,18 +21,25 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
 
-# Vertical field of view of the first camera [degrees].
+# Vertical field of view of the initial camera [degrees]. Limit: a matter of taste; a wide angle distorts the body.
 _FOV_Y_DEG = 25.0
-# Direction from a body to the first camera.
+# Direction from the body to the initial camera, a unit vector in the world frame.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
 def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
-    """Return the surface of a body; the disk cache has sample bodies, which take longer to make than a picture."""
+    """Return the surface of a mesh file or of a sample body.
+
+    The disk cache stores sample bodies, because building one requires more time than rendering a picture.
+
+    Args:
+        mesh: Path of a mesh file, or the call that makes a sample body.
+        tangents: Direction of the height field's x axis, world frame; None uses the texture coordinates.
+    """
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # The geometry of a single mesh has no name.
+    # A sample body is a single mesh, so that the names of geometries need not be stored.
     fields = {field.name: None for field in dataclasses.fields(Surface) if field.name != "geometry_names"}
 
     def arrays() -> dict[str, Any]:
@@ -45,7 +52,7 @@ def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -
 
 
 def framed(surface: Surface, width: int, height: int) -> wd.View:
-    """Return a view that the body fills."""
+    """Return the initial view of a body, in which the body fills the picture."""
     view = wd.View.fit(surface, _TOWARDS_EYE, fov_y_deg=_FOV_Y_DEG, width=width, height=height)
     x, y, z = np.round(view.eye, 6).tolist()
     return dataclasses.replace(view, eye=(x, y, z), target=tuple(np.round(view.target, 6).tolist()))
@@ -62,12 +69,12 @@ def local_directions(
     surface: Surface, view: wd.View, light: wd.DirectionalLight | wd.PointLight, column: int, row: int, *, smooth: bool,
     device: wp.Device, threads: int,
 ) -> LocalDirections | None:  # fmt: skip
-    """Return the directions where the ray through a pixel's centre hits a body; None if it misses."""
+    """Return the local directions where the ray through a pixel's centre hits the body; None if the ray misses."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
     ray = x * frame.right + y * frame.up - frame.back
-    # A picture of one pixel holds what the ray hits.
+    # The hit point is computed as a picture of a single pixel.
     one = wd.View(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
@@ -95,7 +102,12 @@ def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, f
 
 
 def nearest_pixel(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
-    """Return the pixel (column, row) of a mask that is nearest to a position in the picture."""
+    """Return the pixel (column, row) of a mask that is nearest to a position, or None if the mask is empty.
+
+    Args:
+        mask: Boolean array of pixels.
+        probe: Position from the left and from the top of the picture, 0 to 1.
+    """
     rows, columns = np.nonzero(mask)
     if not len(rows):
         return None
@@ -105,14 +117,17 @@ def nearest_pixel(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
 
 
 def angles_deg(direction: Sequence[float]) -> dict[str, float]:
-    """Return the angles from the normal and from the height field's x axis [degrees]."""
+    """Return the angles of a local unit vector from the normal and from the height field's x axis [degrees]."""
     x, y, z = direction
     theta, phi = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(y, x))
     return {"theta_deg": float(theta), "phi_deg": float(phi)}
 
 
 def height_field_of(call: Call) -> wd.HeightField:
-    """Return a height field; the disk cache has gratings, as fingers take half a second of a first picture."""
+    """Return the height field that a call makes.
+
+    The disk cache stores synthetic gratings, because making nano-fingers requires half a second.
+    """
     if not call.function.startswith("gratings."):
         result: wd.HeightField = call.make()
         return result
@@ -126,7 +141,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the view of a page at rest."""
+    """Return the view of a page's full-size picture; without a camera of the page, the initial view of the body."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

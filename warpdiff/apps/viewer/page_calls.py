@@ -1,4 +1,4 @@
-"""Calls of the library for the values of a page's controls, to be made, or written as Python or as a command line."""
+"""Library calls that the values of a page's controls describe, to be executed or printed as Python or as a command."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.controls import Control
 
-# Directions of an environment per pixel while something moves.
+# Number of environment directions per pixel during a movement. Limit: about 14 pictures per second; twice the number
+# makes them slower.
 _MOVING_DIRECTIONS = 16
-# Digits of a direction in lines of code; further digits change no picture.
+# Decimal places of directions in printed code. Limit: further decimals do not change a picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
 
 
 @dataclass(frozen=True)
 class Call:
-    """A call of a public function.
+    """Call of a public function or method, stored as data.
 
     Attributes:
-        function: Its name in ``warpdiff``, or the name of a method of the receiver's result.
+        function: Name of the function in ``warpdiff``, or of a method if there is a ``receiver``.
         operands: Positional arguments.
-        options: Keyword arguments.
-        receiver: Call that returns the object whose method it is.
+        options: Keyword arguments as pairs of name and value.
+        receiver: Call that returns the object of the method; None for a function.
     """
 
     function: str
@@ -50,17 +51,17 @@ class Call:
 
     @classmethod
     def of(cls, function: str, *operands: Any, **options: Any) -> Call:
-        """Return a call with these arguments."""
+        """Return a call of a function with positional and keyword arguments."""
         return cls(function, operands, tuple(options.items()))
 
     def make(self) -> Any:
-        """Call it."""
+        """Execute the call, and first the calls among its arguments, and return the result."""
         owner: Any = wd if self.receiver is None else self.receiver.make()
         function = functools.reduce(getattr, self.function.split("."), owner)
         return function(*map(_result, self.operands), **{name: _result(value) for name, value in self.options})
 
     def __str__(self) -> str:
-        """The line of Python."""
+        """Return the call as Python source."""
         texts = [*map(_source, self.operands), *(f"{name}={_source(value)}" for name, value in self.options)]
         return f"{'wd' if self.receiver is None else self.receiver}.{self.function}({', '.join(texts)})"
 
@@ -82,14 +83,14 @@ def _source(value: Any) -> str:
 
 @dataclass(frozen=True)
 class NamedFiles:
-    """Files that the command names for the page, and how height fields are loaded from them.
+    """Files that the command line names for the page, and options for loading height fields.
 
     Attributes:
         meshes: Mesh files.
         heights: Files of height fields.
-        environments: Images of skies and rooms.
+        environments: Image files of environment lights.
         loading: Options of ``HeightField.load``.
-        cleaning: Methods of a height field with their options, one after the other.
+        cleaning: Cleaning methods of ``HeightField`` with their options, in order of application.
     """
 
     meshes: tuple[Path, ...] = ()
@@ -100,7 +101,7 @@ class NamedFiles:
 
     @forks.cached_property
     def controls(self) -> dict[str, Control]:
-        """The controls of the page that offers them."""
+        """Controls of a page that offers these files, by name."""
         return controls(*([path.name for path in paths] for paths in (self.meshes, self.heights, self.environments)))
 
 
@@ -109,12 +110,12 @@ class PageRequest:
     """Request of a page for a picture.
 
     Attributes:
-        generation: Number that the page counts up with every change.
-        values: Values of all controls.
-        camera: Camera, whose size does not count; None is one that frames the body.
-        aspect: Width over height.
-        moving: Whether a pointer is down, so that more changes may follow at once.
-        probe: Position in the picture where directions are shown, from its left and its top, 0 to 1.
+        generation: Number of the request; the page increases it with every change.
+        values: Values of all controls by name.
+        camera: Camera, of which the image size is ignored; None selects the initial view of the body.
+        aspect: Width of the picture divided by its height.
+        moving: Whether a mouse button or finger is down, so that further changes may follow soon.
+        probe: Position of the point whose local directions are shown, from the left and the top of the picture, 0 to 1.
     """
 
     generation: int
@@ -127,18 +128,18 @@ class PageRequest:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that a picture shows but the view: what pictures of a renderer share, and the lights.
+    """Scene of a picture without its view: body, height field, lights and options.
 
     Attributes:
-        mesh: A call of ``meshes``, or a file.
-        heightfield: The height field.
-        light: The light; None is no light but the environment.
+        mesh: Call that makes a sample body, or path of a mesh file.
+        heightfield: Call that makes the height field.
+        light: Call that makes the light; None if the environment is the only light.
         to_light: Direction from the body's centre to the light, world frame.
-        distance: Distance of a point light from there, in the body's radii; 0 is a directional light.
+        distance: Distance of a point light from the body's centre, in radii of the body; 0 for a directional light.
         options: Options of ``Renderer`` and ``shade`` that differ from their defaults.
         tolerance: Tolerance of the final picture.
-        sky: The environment, if there is one.
-        is_behind: Whether the environment is the background.
+        sky: Call that makes the environment light; None without one.
+        is_behind: Whether the environment is the background of the picture.
     """
 
     mesh: Call | Path
@@ -153,7 +154,10 @@ class Scene:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
-        """Return the scene of checked values; a point light gets its position from :meth:`placed`."""
+        """Return the scene that checked values of the controls describe.
+
+        A point light is still a directional light in it. The method :meth:`placed` replaces it.
+        """
         known = files.controls
         mesh, tangents = _mesh(values, files)
         to_light = _towards(values["azimuth_deg"], values["elevation_deg"])
@@ -179,7 +183,14 @@ class Scene:
         )  # fmt: skip
 
     def placed(self, centre: Sequence[float], radius: float) -> Scene:
-        """Return the scene with a point light placed about a body, as bright at its centre as a directional light."""
+        """Return the scene with the point light at its position, which depends on the body.
+
+        The light's power is such that it illuminates the body's centre like a directional light.
+
+        Args:
+            centre: Centre of the body, world frame.
+            radius: Radius of the body, world units.
+        """
         if not self.distance or self.light is None:
             return self
         away = self.distance * radius
@@ -190,15 +201,16 @@ class Scene:
 
     @property
     def normal(self) -> float:
-        """Reflectance that pictures are relative to."""
+        """Reflectance at normal incidence by which pictures are divided; 1 for a material with its own spectrum."""
         shading = self.shading
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
     def at(self, tolerance: float | None) -> Scene:
-        """Return the scene of a preview; an environment has fewer directions for a larger tolerance.
+        """Return the scene of a preview, which is simpler if it has an environment light.
 
-        An unrefined preview, where the tolerance is None, has even fewer, and no shadows: with them, a picture of 320 ×
-        240 takes 1.9 s, without 0.1.
+        An environment is sampled in fewer directions for a larger tolerance. An unrefined preview, with the tolerance
+        None, samples 16 directions and has no shadows: a picture of 320 × 240 requires 1.9 s with shadows and 0.1 s
+        without.
         """
         if self.sky is None:
             return self
@@ -210,18 +222,25 @@ class Scene:
 
     @property
     def shading(self) -> dict[str, Any]:
-        """The options with the results of their calls."""
+        """Options of ``Renderer`` and ``shade`` by name, in which calls are replaced by their results."""
         return {name: _result(value) for name, value in self.options}
 
     def python(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
-        """Return lines of Python that make a picture of a view and save it."""
+        """Return Python code that renders the scene and saves the picture.
+
+        Args:
+            view: Camera.
+            tolerance: Tolerance of the picture.
+            saving: Options of ``Image.save``.
+        """
         lights = [str(light) for light in (self.light, self.sky and "environment") if light is not None]
         camera = Call.of("View", view.eye, view.target, **_further(view))
         first = [f"environment = {self.sky}"] if self.sky is not None else []
         shown = {name: _source(value) for name, value in saving.items()}
         if self.is_behind:
             first.append(f"view = {camera}")
-            # Pictures by an index of refraction are relative to the reflectance at normal incidence.
+            # With a constant index of refraction, pictures are divided by the reflectance at normal incidence. The
+            # background is divided by the same number.
             of_normal = "" if self.normal == 1.0 else f" / {self.normal!r}"
             shown["background"] = f"environment.background(view){of_normal}"
         lines = [
@@ -238,7 +257,11 @@ class Scene:
         )  # fmt: skip
 
     def command(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
-        """Return the command that makes the picture by a plan for its own directions: equal within both tolerances."""
+        """Return the command line that renders the scene and saves the picture.
+
+        The command plans for the directions of this one picture. Its picture may therefore differ from the viewer's by
+        the sum of both tolerances.
+        """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
         if self.light is not None:
             words += ["--light", _named(self.light)]
@@ -253,18 +276,18 @@ class Scene:
 
 
 def _further(view: wd.View) -> dict[str, Any]:
-    """Return the keyword arguments of a view."""
+    """Return the keyword arguments of a view except eye and target."""
     return {name: getattr(view, name) for name in ("up", "fov_y_deg", "width", "height")}
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield a value as words of the command line, which takes no exponent for a negative number."""
+    """Yield the words of a value on the command line, without exponents, which argparse rejects in negative numbers."""
     for element in value if isinstance(value, tuple) else (value,):
         yield np.format_float_positional(element, trim="0") if isinstance(element, float) else str(element)
 
 
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield options as words of the command line; a call stands for its operand, or for its options."""
+    """Yield the words of options on the command line. A call, such as of a material, is written as its arguments."""
     for name, value in options.items():
         flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):
@@ -274,7 +297,7 @@ def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _named(call: Call | Path) -> str:
-    """Return a body, a grating or a light with its parameters as the command line names it."""
+    """Return the text for a body, a grating or a light on the command line, such as ``fingers:size_um=25.6``."""
     if isinstance(call, Path):
         return str(call)
     parameters = ",".join(f"{name}={'x'.join(_texts(value))}" for name, value in call.options)
@@ -289,7 +312,7 @@ def _height_field_words(call: Call) -> list[str]:
         call = call.receiver
     if call.function == "HeightField.load":
         return [call.operands[0], *_flags(dict(call.options)), *cleaning]
-    # The command line has defaults of its own for gratings.
+    # The command line has other default values for gratings than the library, so that all parameters are written.
     function = getattr(wd.gratings, call.function.rpartition(".")[2])
     defaults = {option.name: option.default for option in describe(function).values()} | dict(call.options)
     options = {name: value for name, value in defaults.items() if value not in (None, REQUIRED)}
@@ -297,7 +320,7 @@ def _height_field_words(call: Call) -> list[str]:
 
 
 def _environment_words(call: Call) -> Iterator[str]:
-    """Yield an environment as words of the command line, which has flags for what files and clear skies share."""
+    """Yield the words of an environment light on the command line: ``--environment`` and its options."""
     options, (operand,) = dict(call.options), call.operands
     if call.function == "Environment.clear_sky":
         own = {name: options.pop(name) for name in tuple(options) if name not in describe(wd.Environment)}
@@ -307,13 +330,13 @@ def _environment_words(call: Call) -> Iterator[str]:
 
 
 def _towards(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
-    """Return a direction by its angle from the front, +z, to the right, +x, and that above the horizon; y is up."""
+    """Return the unit vector of an azimuth (from the front, +z, to the right, +x) and an elevation (towards +y)."""
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
     return math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth)
 
 
 def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
-    """Return the sky of a file, the clear sky, or None."""
+    """Return the call that makes the selected environment light, from a file or as a clear sky; None without one."""
     known, name = files.controls, values["environment"]
     if name == "none" or not known["environment"].is_shown(values):
         return None
@@ -325,7 +348,7 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the body, and the direction of the height field's x axis unless the body has it."""
+    """Return the selected body, and the world axis of the height field's x axis; None uses the texture coordinates."""
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
     unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -336,7 +359,7 @@ def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tu
 
 
 def _file(name: str, paths: Sequence[Path]) -> Path | None:
-    """Return the file that a control calls "file 0", "file 1" and so on."""
+    """Return the file of a control's value such as "file 0", which contains its index; None for other values."""
     kind, _, index = name.partition(" ")
     return paths[int(index)] if kind == "file" else None
 

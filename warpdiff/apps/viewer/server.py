@@ -1,12 +1,13 @@
-"""``warpdiff view``: the server of the viewer, one page and one web socket, for up to 8 pages at once.
+"""Web server of ``warpdiff view``. It serves one HTML page and a web socket, to at most 8 pages at once.
 
-A page loads no other file and connects to no other host. Over the socket it sends small JSON messages, and receives
-pictures as four bytes of length, that much JSON, and a file. Requests are answered under these conditions:
+A page loads no other file and connects to no other host. Over the socket it sends small JSON messages. It receives each
+picture as one message: four bytes with the length of the JSON part, the JSON part, and the bytes of a picture file. The
+server answers requests under these conditions:
 
-- ``Host`` names this server, and the ``Origin`` of a socket is the page's, so that no other page in the browser can
-  use the viewer, whatever its name resolves to;
-- the request carries the token of the server if other machines can reach it;
-- a message has at most 16 KiB, and a page that does not read its messages is disconnected.
+- The header ``Host`` names this server, and the ``Origin`` of a socket is this server's page. Other web pages in the
+  same browser can therefore not use the viewer.
+- If other machines can reach the server, the request contains the server's token.
+- A message has at most 16 KiB. A page that does not read its messages is disconnected.
 """
 
 from __future__ import annotations
@@ -46,23 +47,23 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
-# Number of pages that are served. Limit: one thread draws for all.
+# Largest number of pages at once. Limit: one thread draws for all pages, so that each becomes slower.
 MOST_PAGES = 8
-# Size of a message from a page [bytes]. Limit: a request has about 2 kB.
+# Largest size of a message from a page [bytes]. Limit: a request has about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
-# Number of messages that wait for a page. Limit: a page that reads no messages is disconnected.
+# Largest number of messages in the queue of a page. Limit: the queue of a page that reads no messages needs memory.
 _MOST_QUEUED = 12
-# Time until a connection has sent its first request [s].
+# Longest time until a new connection has sent its first request [s]. Limit: idle connections use resources.
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
-# Integers of JavaScript are exact up to here.
+# Largest generation of a request. Limit: JavaScript represents integers exactly up to this number.
 _MOST_GENERATION = 2**53 - 1
 
 
 class _HostileError(Exception):
-    """Raised for a message that no page sends."""
+    """Error for a message that the viewer's page never sends. It closes the connection."""
 
 
 def run(
@@ -80,7 +81,7 @@ def run(
     """
 
     def begin() -> Studio:
-        # These imports take a second, during which the browser loads the page.
+        # These imports require a second. They run in another thread while the browser loads the page.
         from warpdiff.apps.viewer.session import Studio
 
         return Studio(files, defaults(files.controls), **options)
@@ -95,7 +96,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # A studio or server that fails to start raises its error now.
+        # If the drawing thread or the server cannot start, the error is raised here.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -106,14 +107,14 @@ def run(
 
 @dataclass
 class ViewServer:
-    """Server of the page.
+    """HTTP and web socket server of the viewer's page.
 
     Attributes:
         controls: Controls of the page.
-        studio: Function that waits for the drawing thread.
-        host: Address that it is bound to.
-        port: Port; 0 picks a free one, which is stored here once it is bound.
-        token: Token that requests must carry; empty for the loopback address.
+        studio: Function that waits until the drawing thread has started, and returns its object.
+        host: Address that the server listens on.
+        port: Port that the server listens on. If it is 0, the server picks a free port and stores its number here.
+        token: Token that requests must contain; empty if only this machine can reach the server.
     """
 
     controls: dict[str, Control]
@@ -127,20 +128,20 @@ class ViewServer:
             self.token = secrets.token_urlsafe(16)
         self._pages = 0
         self._logger = logging.getLogger("warpdiff.view")
-        # Malformed requests are not logged at length.
+        # By default, websockets would log a traceback for each malformed request.
         self._logger.addHandler(logging.NullHandler())
         self._logger.propagate = False
 
     @property
     def address(self) -> str:
-        """The address to open in a browser."""
-        # Other machines need a name of this one.
-        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (it is compared)
+        """Address of the page, which a user opens in a browser."""
+        # An address such as 0.0.0.0 means all interfaces. Other machines need this machine's name instead.
+        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (the address is only compared)
         name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; ``ready`` is called once it listens."""
+        """Run the server until the task is cancelled; call ``ready`` once the server listens."""
         async with serve(
             self._page, self.host, self.port, process_request=self._answer, max_size=_MOST_MESSAGE_BYTES, max_queue=4,
             compression=None, open_timeout=_OPENING_S, logger=self._logger, server_header=None,
@@ -150,7 +151,7 @@ class ViewServer:
             await server.serve_forever()
 
     def _answer(self, _: ServerConnection, request: Request) -> Response | None:
-        """Answer a request, or None where a socket may be opened."""
+        """Return the response to an HTTP request: the page or an error. Return None to open a web socket."""
         try:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
             upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
@@ -161,7 +162,8 @@ class ViewServer:
         token = parse_qs(url.query).get("token", [""])[0]
         origins = f"http://{host}", f"https://{host}"
         refusals = [
-            # Before version 17, websockets refuses other methods itself, and requests have no such attribute.
+            # Before version 17, requests of websockets have no attribute ``method``, and websockets itself refuses
+            # methods other than GET.
             (getattr(request, "method", "GET") != "GET", 405, "the method must be GET"),
             (not self._is_ours(host), 403, "the Host header must name this server"),
             (
@@ -179,7 +181,10 @@ class ViewServer:
         return None if is_socket else self._document(host)
 
     def _is_ours(self, host: str) -> bool:
-        """Whether a ``Host`` names this server, which does not know the names that other machines use."""
+        """Whether a ``Host`` header names this server.
+
+        If other machines can reach the server, any name is accepted, because the server does not know its names.
+        """
         if self.host not in _LOOPBACK:
             return bool(host)
         with contextlib.suppress(ValueError):
@@ -188,7 +193,7 @@ class ViewServer:
         return False
 
     def _document(self, host: str) -> Response:
-        """The page, with its style and its script in it."""
+        """Return the HTML page with its style sheet and its script inserted."""
         nonce = secrets.token_urlsafe(16)
         text = (_FOLDER / "page.html").read_text(encoding="utf-8")
         for name in ("page.css", "page.js"):
@@ -201,8 +206,8 @@ class ViewServer:
         return _response(200, "text/html; charset=utf-8", body, {"Content-Security-Policy": policy})
 
     async def _page(self, connection: ServerConnection) -> None:
-        """Serve one page over its socket."""
-        # Several sockets may have been accepted at once.
+        """Serve one page over its web socket."""
+        # The limit is checked again: several sockets may have been accepted before any of them was counted.
         if self._pages >= MOST_PAGES:
             await connection.close(1013, "too many pages")
             return
@@ -226,7 +231,7 @@ def _refused(status: int, why: str) -> Response:
 
 
 class _Page:
-    """One page's connection."""
+    """Connection of one page: its web socket and its queue of messages."""
 
     def __init__(self, connection: ServerConnection, controls: dict[str, Control], studio: Studio) -> None:
         self._connection, self._controls, self._studio = connection, controls, studio
@@ -235,13 +240,18 @@ class _Page:
         self._session = studio.session(self._send)
 
     def _send(self, description: dict[str, Any], data: bytes | None) -> None:
-        """Called by the drawing thread."""
+        """Put a message into the queue of the page. The drawing thread calls this method.
+
+        Args:
+            description: JSON part of the message.
+            data: Bytes of a file that follow the JSON part; None sends only JSON.
+        """
         text = json.dumps(description, allow_nan=False)
         message: str | bytes = text
         if data is not None:
             head = text.encode()
             message = struct.pack("<I", len(head)) + head + data
-        # The loop is closed where the server has ended.
+        # If the server has ended, its event loop is closed and raises ``RuntimeError``.
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._put, message)
 
@@ -252,7 +262,7 @@ class _Page:
             self._connection.transport.abort()
 
     async def run(self) -> None:
-        """Read and write until the page is gone."""
+        """Receive and send messages until the page disconnects."""
         controls = described(self._controls)
         self._put(json.dumps({"kind": "hello", "version": wd.__version__, "controls": controls}))
         writing = asyncio.create_task(self._write())
@@ -275,7 +285,7 @@ class _Page:
             await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Carry out a message."""
+        """Execute a message of the page: draw, save, or note that a picture was shown."""
         try:
             content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):
@@ -300,7 +310,7 @@ class _Page:
         self._put(json.dumps({"kind": "error", "text": text}))
 
     def _request(self, content: dict[str, Any]) -> PageRequest:
-        """Return the checked request of a message."""
+        """Return the request for a picture that a page's message contains, after checks of all values."""
         generation = validation.count(content.get("generation"), "generation", least=0, most=_MOST_GENERATION)
         aspect = validation.number(content.get("aspect"), "aspect", least=_ASPECTS[0], most=_ASPECTS[1])
         x, y = validation.numbers(content.get("probe"), "probe", length=2)
@@ -315,7 +325,7 @@ class _Page:
         return PageRequest(generation, values, camera, aspect, content.get("moving") is True, (x, y))
 
     async def _save(self, suffix: str) -> None:
-        """Send the picture that is shown as a file."""
+        """Send the current picture to the page as a file."""
         try:
             data = await asyncio.to_thread(self._studio.saved, self._session, suffix)
         except (ValueError, OSError, MemoryError) as error:

@@ -1,8 +1,8 @@
-"""Progressive pictures for pages: previews while something moves, then pictures of smaller and smaller tolerances.
+"""Progressive rendering for the viewer's pages: previews during a movement, then pictures of decreasing tolerance.
 
-One thread draws for all pages, in turns, so that pages share tables and memory does not grow with their number. A page
-requests pictures under a generation, a number that it counts up; the newest request counts. A picture at rest is
-cancelled between its kernels once its page has a newer generation.
+One thread draws for all pages in turn. Pages therefore share tables, and memory does not grow with their number. Each
+request of a page has a generation, a number that the page increases with every change. Only the newest request of a
+page is drawn. A full-size picture is cancelled between two kernels once its page has sent a newer request.
 """
 
 from __future__ import annotations
@@ -40,64 +40,76 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
     from warpdiff.scene.mesh_import import Surface
 
-# Tolerances of the pictures at rest that precede the requested one.
+# Tolerances of the intermediate pictures that precede the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
-# How long nothing must change, while a pointer is still down, before a picture is refined [s].
+# Time without a change, while a mouse button is still down, before a picture is refined [s]. Limit: a user sees twice
+# the time as a delay.
 _REST_S = 0.15
-# Pictures that a page has not shown yet.
+# Largest number of sent pictures that a page has not shown yet. Limit: twice the number doubles the delay on a slow
+# connection.
 _MOST_IN_FLIGHT = 2
-# Limits of the time for a picture while something moves [s]. A slower picture has fewer pixels, but at least 320 × 240
-# as long as such a picture meets the second limit, which is that of twelve pictures per second.
+# Longest times for drawing a preview during a movement [s]. Limits: the first is about 15 pictures per second, the
+# second about 12. A preview that needs more than the first gets fewer pixels. A preview of 320 × 240 pixels may need
+# the second.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
+# Factors on the sides of a preview during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Least number of pixels of a picture while something moves, if it is drawn in time.
+# Least number of pixels of a preview during a movement, unless drawing so many pixels needs more than 0.08 s.
 _LEAST_PIXELS = 320 * 240
-# Number of pictures whose median time predicts the next one's, and the share of the limit that a larger picture may
-# use, so that sizes do not alternate.
+# Number of recent previews whose median time predicts the time of the next one. A larger preview than the last one may
+# use only this fraction of the time limit, so that sizes do not alternate.
 _TIMED, _HEADROOM = 5, 0.8
-# Memory of cached renderers, and of a pixel of theirs, about [bytes].
+# Limit on the memory of all cached renderers, and memory per pixel of one renderer, approximate [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
-# Size of the reflectance map [pixels].
+# Width and height of the reflectance map [pixels]. Limit: twice the size needs four times as long.
 MAP_SIZE = 192
-# Time between two reports of progress [s].
+# Time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Settings in which environments that share their maps may differ.
+# Settings of an environment light that can change without a new computation of its radiance maps.
 _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
-# Coverage of a pixel that the body fills.
+# Coverage from which a pixel counts as completely covered by the body; below 1 because of rounding.
 _FULL_COVERAGE = 0.999
 
 
 class _CancelledError(Exception):
-    """Raised by the progress callable of a picture that no page waits for."""
+    """Error that a progress callable raises to cancel a picture that no page waits for."""
 
 
 class Stage(NamedTuple):
-    """One of the pictures of a generation: refined to a tolerance, or one sample per pixel where that is None."""
+    """One of the successive pictures of a request.
+
+    Attributes:
+        tolerance: Tolerance to which the picture is refined; None is a preview with one sample per pixel.
+        last: Whether the picture has the requested tolerance.
+    """
 
     tolerance: float | None
     last: bool = False
 
 
 def stages_to(tolerance: float) -> list[Stage]:
-    """Return the stages up to a tolerance; the directions and the map at the probe follow them."""
+    """Return the stages of a request: a preview, intermediate tolerances, and the requested tolerance."""
     return [Stage(None), *(Stage(larger) for larger in TOLERANCES if larger > tolerance), Stage(tolerance, last=True)]
 
 
 @dataclass(eq=False)
 class Session:
-    """State of one page; ``request``, ``in_flight`` and ``open`` are shared, the others are the drawing thread's.
+    """State of one page.
+
+    Several threads use ``request``, ``in_flight`` and ``open``. Only the drawing thread uses the other attributes.
 
     Attributes:
-        send: Called from the drawing thread with a description, and with bytes or None.
-        request: The newest request.
-        in_flight: Number of pictures that were sent and that the page has not shown.
+        send: Function that sends a message to the page. Its arguments are a description and the bytes of a file or
+            None. The drawing thread calls it.
+        request: Newest request of the page.
+        in_flight: Number of sent pictures that the page has not shown yet.
         open: Whether the page is connected.
-        generation: Number of the request whose stages of refinement are drawn.
-        stage: Index of the next stage of refinement.
-        drawn_at: Time at which the first stage was drawn.
+        generation: Generation of the request whose stages are drawn.
+        stage: Index of the next stage to draw.
+        drawn_at: Time at which the last picture was sent, by ``time.monotonic`` [s].
         drawn_request: Request that the last picture answered.
-        exposure: Automatic exposure of the last picture while nothing moved, at first of the first picture.
-        picture: The last picture, with the options of its display.
+        exposure: Automatic exposure factor of the last picture that was not a preview of a movement.
+        picture: The last picture, with the options of its display transform.
     """
 
     send: Callable[[dict[str, Any], bytes | None], None]
@@ -119,7 +131,7 @@ def _bytes_of(renderer: wd.Renderer) -> float:
 
 @dataclass
 class _Caches:
-    """Objects that pictures share, by the text of the calls that make them."""
+    """Caches of the objects that several pictures share; the keys are the texts of the calls that make the objects."""
 
     surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
     environments: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(2))
@@ -130,33 +142,41 @@ class _Caches:
 
 
 class Studio:
-    """The thread that draws for all pages."""
+    """Renderer for all pages, with its own thread."""
 
     def __init__(
         self, files: NamedFiles, values: Mapping[str, Any], *, device: Any = None, threads: int | None = None
     ) -> None:
-        """Begin to draw for pages that will connect and probably begin with these values."""
+        """Start the thread, which first renders a picture with default values to fill the caches.
+
+        Args:
+            files: Files that the page offers.
+            values: Initial values of the page's controls.
+            device: Warp device, as in :func:`warpdiff.shade`.
+            threads: Number of CPU threads, as in :func:`warpdiff.shade`.
+        """
         self.files, self._likely_values = files, values
         self._device, self._threads = resolve_device(device), resolve_threads(threads)
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._caches = _Caches()
-        # Times of the last unrefined pictures over the root of their pixels [s]; a part is the same for all sizes.
+        # Times of the last previews divided by the square root of their number of pixels [s]. The square root fits
+        # because a part of the time does not depend on the size.
         self._times: deque[float] = deque(maxlen=_TIMED)
-        # Pixels of the last of them.
+        # Number of pixels of the last preview.
         self._last_pixels = math.inf
         self._thread = threading.Thread(target=self._run, name="warpdiff-view", daemon=True)
         self._thread.start()
 
     def session(self, send: Callable[[dict[str, Any], bytes | None], None]) -> Session:
-        """Draw for one more page; ``send`` is called from the drawing thread."""
+        """Add a page, and return its state. The drawing thread calls ``send`` to send messages to the page."""
         result = Session(send)
         with self._changed:
             self._sessions.append(result)
         return result
 
     def leave(self, session: Session) -> None:
-        """Draw no longer for a page, which has disconnected."""
+        """Remove a page that has disconnected."""
         with self._changed:
             session.open = False
             if session in self._sessions:
@@ -164,34 +184,34 @@ class Studio:
             self._changed.notify()
 
     def request(self, session: Session, request: PageRequest) -> None:
-        """Set what a page requests from now on."""
+        """Replace the request of a page by a newer one."""
         with self._changed:
             session.request = request
             self._changed.notify()
 
     @staticmethod
     def saved(session: Session, suffix: str) -> bytes:
-        """Return the picture that a page shows, as a file."""
+        """Return the bytes of a file with the last picture of a page, ``suffix`` being ``png`` or ``exr``."""
         if session.picture is None:
             raise ArgumentValueError("there is no picture to save yet")
         image, display = session.picture
         return encoding.saved(image, suffix, display)
 
     def acknowledge(self, session: Session) -> None:
-        """Count a picture that a page has shown."""
+        """Note that a page has shown one more of the sent pictures."""
         with self._changed:
             session.in_flight = max(session.in_flight - 1, 0)
             self._changed.notify()
 
     def _prepare(self) -> None:
-        """Make what first pictures require, whatever their size."""
+        """Fill the caches with the objects that a page's first picture needs, by rendering a small picture."""
         scene = Scene.of(self._likely_values, self.files)
         view = page_bodies.framed(self._surface(scene), 16, 12)
         image = self._renderer(scene, view, refine=False, report=lambda: None).image()
         encoding.encoded(encoding.displayed(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
-        # An error here occurs again for a page, and is reported there.
+        # Errors of the preparation are ignored here: they occur again for the first page, which then shows them.
         with warnings.catch_warnings(), contextlib.suppress(Exception):
             warnings.simplefilter("ignore")
             self._prepare()
@@ -209,7 +229,7 @@ class Studio:
             except _CancelledError:
                 continue
             except Exception as error:
-                # One page's error reaches no other, and does not end the thread.
+                # An error is sent only to the page whose request caused it. The thread continues with other requests.
                 expected = isinstance(error, (ValueError, TypeError, OSError, MemoryError))
                 text = spelled(error, label) if expected else f"{type(error).__name__}: {error}"
                 if not expected:
@@ -218,7 +238,10 @@ class Studio:
                 session.stage = len(stages_to(request.values["tolerance"])) + 1
 
     def _next(self) -> tuple[Session, PageRequest, int]:
-        """Wait for the next picture: first ones before finer ones, pages in turns."""
+        """Wait for the next picture to draw, and return its page, request and stage.
+
+        Previews precede refined pictures, and pages take turns.
+        """
         with self._changed:
             while True:
                 waits: list[float] = []
@@ -230,11 +253,12 @@ class Studio:
                     pictures = len(stages_to(request.values["tolerance"]))
                     if session.generation != request.generation:
                         session.generation = request.generation
-                        # For another probe alone, the stages continue; after the last one, the picture stays.
+                        # If only the probe has moved, the picture is not drawn again, and its refinement continues.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
-                        # A smaller picture is drawn with all pixels first.
+                        # After a movement, refinement starts at once if the preview has the full size. Otherwise a
+                        # preview of the full size precedes it.
                         session.stage = int(len(session.picture[0].mask) == request.values["height"])
                     if session.stage > pictures:
                         continue
@@ -251,12 +275,13 @@ class Studio:
                 self._changed.wait(min(waits, default=None))
 
     def _is_current(self, session: Session, request: PageRequest, index: int) -> bool:
-        """Whether a page still waits for a stage, and no other page for its first picture."""
+        """Whether a stage is still needed: its request is the newest, and no other page waits for a preview."""
         newest = session.request
         if not session.open or newest is None:
             return False
         if index == 0 and request.moving:
-            # A moving picture is drawn to the end; otherwise the page would show none.
+            # A preview during a movement is always finished. If each new request cancelled it, the page would show no
+            # picture until the movement ends.
             return not _is_released(session, newest)
         others = [
             other for other in tuple(self._sessions) if other is not session and other.in_flight < _MOST_IN_FLIGHT
@@ -266,7 +291,7 @@ class Studio:
         )
 
     def _progress(self, session: Session, request: PageRequest, index: int) -> Callable[[float], None]:
-        """Return the progress callable of a picture, which reports to the page, or cancels the picture."""
+        """Return the progress callable of a picture, which sends progress to the page and cancels outdated pictures."""
         reported_at = time.monotonic()
 
         def progress(share: float) -> None:
@@ -280,7 +305,10 @@ class Studio:
         return progress
 
     def _serve(self, session: Session, request: PageRequest, index: int) -> None:
-        """Draw and send the pictures from a stage on, or the directions and the map at the probe of the last one."""
+        """Draw and send the pictures of a request, starting at a stage.
+
+        After the last stage, send the directions at the probe and the reflectance map instead.
+        """
         progress = self._progress(session, request, index)
         scene = Scene.of(request.values, self.files)
         stages = stages_to(scene.tolerance)
@@ -308,7 +336,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the picture of the next stage when it is drawn."""
+            """Send the picture of the next stage, which has been drawn."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()
@@ -338,18 +366,19 @@ class Studio:
             session.stage += 1
             session.send(description | result, data)
 
-        # One draw refines from one tolerance to the next, except under an environment.
+        # Without an environment, one call draws all remaining stages, because each refines the previous one. With an
+        # environment, each stage is drawn separately, because a larger tolerance requires fewer directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
         renderer.draw(lights, view, progress=progress, previews=previews)
-        # A picture without pixels to subdivide has no previews.
+        # The last stage is always sent. If no pixel was refined, the stages before it were skipped.
         session.stage = last
         send()
         if not index:
             self._times.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
-        """Return a view of the largest size that is drawn in time."""
+        """Return a view with the largest picture that can be drawn within the time limit of a movement."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
         expected = statistics.median(self._times) if self._times else 0.0
@@ -369,7 +398,10 @@ class Studio:
     def _display_options(
         self, session: Session, request: PageRequest, image: wd.Image, *, moving: bool
     ) -> dict[str, Any]:
-        """Return the options of a picture's display; a moving one has the exposure of the last one at rest."""
+        """Return the options of a picture's display transform.
+
+        During a movement (``moving``) and with a locked exposure, the exposure of an earlier picture is used.
+        """
         display = request.values["display"]
         if session.exposure is None or not (moving or request.values["lock_exposure"]):
             session.exposure = min(image.auto_exposure, validation.MOST * 1e-6)
@@ -388,7 +420,7 @@ class Studio:
         return self._caches.height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
 
     def _lights(self, scene: Scene) -> list[Any]:
-        """Return the light, and after it the environment, which is the same object as long as nothing changes."""
+        """Return the light and the environment of a scene. An unchanged environment is the same object every time."""
         lights = [] if scene.light is None else [scene.light.make()]
         if (sky := scene.sky) is None:
             return lights
@@ -403,7 +435,14 @@ class Studio:
         return [*lights, self._caches.skies.get_or_make(str(sky), make)]
 
     def _renderer(self, scene: Scene, view: wd.View, *, refine: bool, report: Callable[[], None]) -> wd.Renderer:
-        """Return a renderer of pictures of a size; ``report`` is called where that takes long."""
+        """Return a renderer of a scene from the cache, or make it.
+
+        Args:
+            scene: Scene without its view.
+            view: Camera, whose size is the size of the pictures.
+            refine: Whether the renderer refines pixels.
+            report: Function that is called before a slow preparation.
+        """
         key = str(scene.mesh), str(scene.heightfield), str(scene.options), *_illuminants(scene), scene.tolerance
 
         def make() -> wd.Renderer:
@@ -413,10 +452,13 @@ class Studio:
         return self._caches.renderers.get_or_make((*key, refine, view.width, view.height), make)
 
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
-        """Make what renderers of any size share; the disk cache has its plan, which takes seconds to make."""
+        """Make a small renderer, from which renderers of any size are derived.
+
+        The disk cache stores its plan, because planning requires seconds.
+        """
         report()
         heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading
-        # Only the spectra of these lights count.
+        # A plan depends only on the spectra of the lights.
         lights = self._lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
@@ -427,7 +469,7 @@ class Studio:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
             return {"plan": made[0].plan.to_json()}
 
-        # No plan depends on shadows.
+        # A plan does not depend on shadows.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
         key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self._device.alias
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)
@@ -438,7 +480,7 @@ class Studio:
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
     ) -> None:
-        """Send the directions at the probe, and the reflectance in all directions for the light there."""
+        """Send the local directions at the probe, and the reflectance map for the light direction at that point."""
         image, display = session.picture or (None, {})
         pixel = None
         if image is not None:
@@ -468,7 +510,7 @@ class Studio:
         if local.to_light[2] <= 1e-3:
             session.send(message | {"text": "The light is below the horizon at this point."}, None)
             return
-        assert image is not None  # noqa: S101 (a pixel of it was found)
+        assert image is not None  # noqa: S101 (``pixel`` comes from the image)
         options = {name: value for name, value in scene.shading.items() if name in describe(EvaluationSettings)}
         disc = wd.reflectance_map(
             self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
@@ -483,20 +525,20 @@ def _message(kind: str, request: PageRequest, **more: Any) -> dict[str, Any]:
 
 
 def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
-    """Whether a request differs from a drawn one by nothing that its picture shows."""
+    """Whether a request has the same picture as the drawn one; generation, movement and probe do not change it."""
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
 
 
 def _illuminants(scene: Scene) -> tuple[str, ...]:
-    """Return the spectra of a scene's lights; an environment's suns have spectra of their own."""
+    """Return texts that identify the spectra of a scene's lights, including those of an environment and its sun."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    # A file, or the clear sky, wherever its sun is.
+    # The spectra depend on the environment's file. Those of a clear sky do not depend on the position of the sun.
     paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
     return named if scene.sky is None else (*named, scene.sky.function, *paths)
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether the last picture was a moving one that now rests; it is refined at once if it has all pixels."""
+    """Whether a movement has just ended: the last picture is a preview of it, and the new request does not move."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving

@@ -1,4 +1,4 @@
-"""``export_html``: a web page without a server, of a mesh whose surface carries baked lobes."""
+"""Function ``export_html``, which writes a web page without a server. The page shows a mesh with baked lobes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from warpdiff.lights.environment import Environment
 from warpdiff.lights.point import PointLight
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.request.signatures import checked
-from warpdiff.scene.camera import View  # noqa: TC001 (``checked`` reads annotations)
+from warpdiff.scene.camera import View  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
 from warpdiff.scene.mesh_import import prepare_surface
 
 if TYPE_CHECKING:
@@ -37,15 +37,17 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
-# Least distance of a light from the centre of the mesh [radii]. Limit: its shadow map is one picture of the mesh.
+# Least distance of a light from the centre of the mesh [radii of the mesh]. Limit: the page renders one shadow map per
+# light, which covers only the part of the mesh in front of the light.
 _NEAREST = 1.1
-# Number of texels along a side of the page's grid over (u, v), and of the frames that are averaged while nothing moves.
+# Texels per side of the page's grid over (u, v), and number of frames that a picture at rest averages. Limits: twice
+# the texels need four times the graphics memory; twice the frames need twice the time.
 _SIZE, _FRAMES = 1024, 1024
-# The zeroth order's wavelengths: as many as a page has look-ups left for.
+# Number of wavelengths of the zeroth order. Limit: a fragment may use 64 texture fetches, and the lobes use the others.
 _WAVELENGTHS = 10
-# Number of entries for the reflectance of the mean plane.
+# Number of samples over w of the zeroth order's power. Limit: the page interpolates linearly between the samples.
 _ENTRIES_OF_W = 512
-# Number of lights of a page. Limit: shadow maps of WebGL.
+# Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
 _MOST_LIGHTS = 8
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
@@ -74,10 +76,11 @@ def export_html(
         path: File with the suffix ``.html`` or ``.htm``.
         mesh: Mesh, as for :func:`warpdiff.shade`.
         lobes: Table of :func:`warpdiff.bake`.
-        lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc has a diameter of at
-            most 5°, requires averaged lobes, and is one Gaussian of its variance with a hard shadow. The distance of
-            point lights from the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused:
-            use a directional light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
+        lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc light may have a
+            diameter of at most 5° and requires averaged lobes. The page renders it as a Gaussian of the same variance,
+            with a hard shadow. The distance of point lights from the mesh's centre is at least 1.1 radii of its
+            bounding sphere. Environments are refused: use a directional light for the sun,
+            ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
         view: First view, by a perspective camera. The size of the picture is that of the browser's window.
         ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material of the lobes.
         masking: Whether V-cavity masking and shadowing of the relief is included.
@@ -116,7 +119,7 @@ def export_html(
         _check_positions(checked_lights, surface)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
-        # No light comes through a material to what lies below it.
+        # A metal or coated material lets no light through to the pigment below it.
         pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
@@ -138,7 +141,7 @@ def export_html(
 
 
 def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | PointLight]:
-    """Return the lights as a list; refuse in one message all that a page does not show."""
+    """Return the lights as a list; raise one error that names all lights that a page cannot show."""
     result = [lights] if isinstance(lights, Light) else lights
     if not isinstance(result, (list, tuple)) or not 1 <= len(result) <= _MOST_LIGHTS:
         raise ArgumentTypeError(
@@ -174,7 +177,7 @@ def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | Poi
 
 
 def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
-    """Refuse lights within the mesh, and those that are brighter than the page's numbers hold."""
+    """Refuse point lights that are too close to the mesh, or whose power exceeds the range of the page's numbers."""
     for index, light in enumerate(lights):
         if not isinstance(light, PointLight):
             continue
@@ -193,7 +196,11 @@ def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: S
 
 
 def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
-    """The mesh in the unit sphere, its base colour, and how to read them."""
+    """Add the arrays of the mesh, scaled to the unit sphere, and of its base colour.
+
+    Returns:
+        The entries of the page's header that describe the arrays.
+    """
     count = len(surface.vertices)
     arrays.add_differences("positions", quantised(surface.vertices, -1.0, 1.0))
     arrays.add_differences("normals", octahedral(_defined_normals(surface)))
@@ -224,7 +231,7 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
 
 
 def _defined_normals(surface: Surface) -> Any:
-    """Vertex normals; where no direction is defined, that of one of its faces."""
+    """Return the vertex normals, shape (n, 3). A vertex without a defined normal gets that of one of its faces."""
     normals = surface.normals.astype(np.float64)
     corners = surface.vertices[surface.faces].astype(np.float64)
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -238,7 +245,11 @@ def _defined_normals(surface: Surface) -> Any:
 
 
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
-    """The lobes unchanged, their functions of w in fours, and the zeroth order's wavelengths."""
+    """Add the arrays of the lobes: coefficients, functions of w in groups of four, and power of the zeroth order.
+
+    Returns:
+        The entries of the page's header that describe the lobes.
+    """
     arrays.add("exponents", "bytes", np.ascontiguousarray(lobes.exponents.T).tobytes())
     arrays.add(
         "mantissas", lobes.mantissas.dtype.name, np.ascontiguousarray(lobes.mantissas.transpose(1, 2, 0)).tobytes()
@@ -264,7 +275,11 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
 
 
 def _add_display(arrays: Arrays) -> dict[str, Any]:
-    """The table of ACES, the largest chroma by hue, and what the compression of chroma takes."""
+    """Add the arrays of the display transform: the ACES table, and the largest chroma of each hue.
+
+    Returns:
+        The entries of the page's header with the constants of the display transform.
+    """
     arrays.add_differences("display", np.rint(65_535.0 * display_transform.aces_table("srgb")))
     arrays.add("most_chroma", "float32", display_transform.most_chroma()[1].astype(np.float32).tobytes())
     return {
@@ -278,7 +293,10 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
 
 
 def _white(lobes: BakedLobes) -> Any:
-    """Linear sRGB of what a white pigment of strength 1 sends back, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ."""
+    """Return the linear sRGB colour of a white pigment of strength 1, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (3,).
+
+    S is the illuminant, and G the solid angle by which the pigment's reflectance is scaled.
+    """
     solid_angle = reflectance_factors.pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, lobes.coherence, 0.0)
     return colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(lobes.illuminant))
 
@@ -292,15 +310,15 @@ def _description(lobes: BakedLobes) -> str:
 
 
 def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
-    """The page."""
+    """Return the HTML text of the page: the template with header, arrays, shaders and script inserted."""
     folder = resources.files("warpdiff.apps.web_page").joinpath("page")
     page = folder.joinpath("page.html").read_text(encoding="utf-8")
     background = "#" + "".join(f"{round(255.0 * component):02x}" for component in _BACKGROUND)
-    # In JSON within a script element nothing may look like its end.
+    # The header is JSON inside a script element. "<" is escaped in it: a text with "</script>" would end the element.
     filling = {
         "VERSION": metadata.version("warpdiff"), "TITLE": html.escape(title), "BACKGROUND": background,
         "HEADER": json.dumps(header).replace("<", "\\u003c"), "DATA": arrays.base64(),
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
-    # One pass, so that texts that are filled in are not searched again.
+    # All placeholders are replaced in one pass, so that placeholders inside of inserted texts are not replaced.
     return re.sub("@([A-Z_]+)@", lambda match: filling[match[1]], page)

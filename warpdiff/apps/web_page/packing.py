@@ -1,6 +1,6 @@
-"""Packed arrays of a page: quantised, as differences, in planes of bytes, deflated together.
+"""Compression of a page's arrays: quantised numbers are stored as differences, in planes of bytes, and deflated.
 
-The function ``unpack`` of ``page/page.js`` reads them.
+The function ``unpack`` of ``page/page.js`` decompresses the arrays.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Places along an axis, and of a direction along either axis of an octahedron.
+# Largest quantised coordinate of positions and of octahedral directions. Limit: 16 bits per coordinate.
 STEPS = 65_535
 
 
 class Arrays:
-    """Arrays by name, one after the other.
+    """Named arrays, concatenated to one sequence of bytes.
 
     Attributes:
-        entries: Name, type, shape, begin and length of each array, by which the page reads it.
+        entries: Table of contents for the page: name, type, shape, first byte and number of bytes of each array.
     """
 
     def __init__(self) -> None:
@@ -30,7 +30,15 @@ class Arrays:
         self.entries: list[dict[str, Any]] = []
 
     def add(self, name: str, kind: str, data: bytes, rows: int = 0, columns: int = 0) -> None:
-        """Add bytes."""
+        """Add an array as bytes.
+
+        Args:
+            name: Name of the array.
+            kind: Type for the page: ``"float32"``, ``"int8"``, ``"int16"``, ``"bytes"`` or ``"differences"``.
+            data: Bytes of the array.
+            rows: Number of rows, for ``"differences"``.
+            columns: Number of columns, for ``"differences"``.
+        """
         begin = sum(map(len, self._parts))
         self.entries.append(
             {"name": name, "kind": kind, "rows": rows, "columns": columns, "begin": begin, "length": len(data)}
@@ -38,7 +46,11 @@ class Arrays:
         self._parts.append(data)
 
     def add_differences(self, name: str, values: NDArray[Any]) -> None:
-        """Add whole numbers of shape (n, m) from 0 to 2³⁰, each as its difference from the one in the row before."""
+        """Add integers from 0 to 2³⁰, shape (n, m), each stored as its difference from the row before.
+
+        The lowest bit of a stored number is the sign of the difference. The lowest bytes of all numbers precede their
+        second bytes, and so on, because similar bytes compress better.
+        """
         values = np.asarray(values, dtype=np.int64)
         steps = np.diff(values, axis=0, prepend=0)
         coded = np.where(steps < 0, -2 * steps - 1, 2 * steps).T.ravel()
@@ -47,18 +59,21 @@ class Arrays:
         self.add(name, "differences", data, *values.shape)
 
     def base64(self) -> str:
-        """Return all arrays, deflated, as base64."""
+        """Return the bytes of all arrays, concatenated and deflated, as a text in base64."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
 
 
 def quantised(values: NDArray[Any], low: Any, high: Any) -> NDArray[np.int64]:
-    """Values from ``low`` to ``high`` as whole numbers from 0 to ``STEPS``."""
+    """Return values from ``low`` to ``high`` as integers from 0 to ``STEPS``."""
     share = (np.asarray(values, dtype=np.float64) - low) / (np.asarray(high, dtype=np.float64) - low)
     return np.asarray(np.rint(np.clip(share, 0.0, 1.0) * STEPS), dtype=np.int64)
 
 
 def octahedral(vectors: NDArray[Any]) -> NDArray[np.int64]:
-    """Places of unit vectors (n, 3) on an octahedron unfolded into a square (Cigolle et al. 2014), (n, 2)."""
+    """Return the octahedral encoding of unit vectors (n, 3), shape (n, 2).
+
+    The unit sphere is projected to an octahedron, which is unfolded into a square (Cigolle et al. 2014).
+    """
     size = np.abs(vectors).sum(axis=1, keepdims=True)
     points = vectors / np.where(size > 0.0, size, 1.0)
     folded = (1.0 - np.abs(points[:, 1::-1])) * np.where(points[:, :2] < 0.0, -1.0, 1.0)

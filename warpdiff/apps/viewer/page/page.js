@@ -1,4 +1,5 @@
-// The viewer's page: it sends its settings to the server with a generation number; pictures come back with that number.
+// Script of the viewer's page. It sends the values of the controls and the camera to the server, with a generation
+// number. The server answers with pictures, which have the same number.
 
 const byId = (id) => document.getElementById(id);
 const stage = byId("stage"), canvas = byId("picture"), context = canvas.getContext("2d");
@@ -20,7 +21,7 @@ function turned(v, axis, angle) {
   return add(add(scaled(v, c), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
 }
 
-// ---- Settings ------------------------------------------------------------------------------------------------------
+// ---- Values of the controls, and requests --------------------------------------------------------------------------
 
 const state = { values: {}, camera: null, probe: [0.5, 0.5] };
 let generation = 0, moving = false, body = null, controls = [];
@@ -36,7 +37,7 @@ function changed() {
   requestPicture();
 }
 
-// At most one message per frame of the display.
+// Requests a picture, with at most one message per display frame of the browser.
 let isScheduled = false;
 function requestPicture() {
   if (isScheduled) return;
@@ -50,7 +51,7 @@ function requestPicture() {
   });
 }
 
-// ---- The server ----------------------------------------------------------------------------------------------------
+// ---- Connection to the server --------------------------------------------------------------------------------------
 
 let socket = null;
 
@@ -86,7 +87,7 @@ function hello(message) {
   document.body.dataset.connected = message.version;
   notice("");
   build(message.controls);
-  // A restarted server has drawn nothing.
+  // The generations of a restarted server are unrelated to those before, so that its first picture is always shown.
   shown = [-1, -1];
   requestPicture();
 }
@@ -121,7 +122,7 @@ function file(message, data) {
 
 // ---- Pictures ------------------------------------------------------------------------------------------------------
 
-// Generation and stage of what is on the canvas: what was decoded late never takes the place of what is newer.
+// Generation and stage of the picture on the canvas. A picture that was decoded too late never replaces a newer one.
 let shown = [-1, -1];
 const times = [];
 
@@ -133,7 +134,7 @@ async function picture(message, data) {
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   body = message.body;
-  // Of an older generation it may be of another body.
+  // A picture of an older generation may show another body, whose camera is not used.
   if (state.camera === null && message.generation === generation) {
     state.camera = message.camera;
     store();
@@ -185,7 +186,7 @@ async function map(message, data) {
   byId("angles").textContent = [...lines, caption].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = message.generation;
-  // It comes after the last picture, which may be of a generation before and stand.
+  // The map follows the last picture. If only the probe has moved, the picture is of an older generation and remains.
   canvas.dataset.generation = message.generation;
   if (message.at) probed = message.at;
   place();
@@ -202,7 +203,7 @@ function build(schemas) {
   inputs.clear();
   const groups = new Map();
   for (const control of controls) {
-    // Stored values that the control does not have any more are dropped.
+    // A stored value that the control does not accept any more is replaced by the default.
     const stored = state.values[control.name];
     const fits = control.enum ? control.enum.includes(stored) : typeof stored === typeof control.default;
     state.values[control.name] = fits ? stored : control.default;
@@ -235,7 +236,7 @@ function input(type, properties) {
 
 function set(name, value) {
   state.values[name] = value;
-  // The camera framed another body.
+  // The camera was fitted to the previous body, so that it is reset.
   if (name === "mesh") state.camera = null;
   update();
   changed();
@@ -267,7 +268,7 @@ function number(control) {
   const field = input("number", { id: `set-${control.name}`, min: minimum, max: maximum, step: "any" });
   const slider = input("range", { min: 0, max: 1, step: "any", ariaLabel: control.title });
   field.onchange = () => field.value !== "" && set(control.name, clamp(Number(field.value), minimum, maximum));
-  // While it is dragged.
+  // The browser sends "input" events while the slider is dragged, and a "change" event at the end.
   slider.oninput = () => {
     moving = true;
     set(control.name, rounded(at(Number(slider.value))));
@@ -299,7 +300,7 @@ function rest() {
   requestPicture();
 }
 
-// ---- The camera and the light in the picture -----------------------------------------------------------------------
+// ---- Camera and light, moved in the picture ------------------------------------------------------------------------
 
 let probed = null;
 
@@ -317,7 +318,8 @@ function toLight() {
   return [Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation), Math.cos(elevation) * Math.cos(azimuth)];
 }
 
-// The light's handle lies on a sphere about the target that fills most of the picture, or where the light is.
+// Radius of the sphere around the target on which the light's handle lies, as a fraction of the picture's half height.
+// The handle of a point light is at the light's position instead.
 const HANDLE = 0.75;
 
 function sphere(view) {
@@ -357,7 +359,7 @@ function orbit(dx, dy) {
   const view = frame();
   const turn = (-2 * Math.PI * dx) / stage.clientHeight;
   const angle = Math.acos(clamp(dot(view.back, view.up), -1, 1));
-  // Not over the poles, where up would be along the line of sight.
+  // The camera cannot pass over the poles, where the line of sight would be parallel to the up vector.
   const tilt = clamp(angle - (Math.PI * dy) / stage.clientHeight, 0.02, Math.PI - 0.02) - angle;
   const offset = turned(turned(view.offset, view.right, tilt), view.up, turn);
   moved({ eye: add(view.target, offset) });
@@ -388,7 +390,8 @@ function drag(event) {
   const x = (event.clientX - box.left - stage.clientWidth / 2) * size;
   const y = (stage.clientHeight / 2 - (event.clientY - box.top)) * size;
   const ray = unit(add(add(scaled(view.right, x), view.top, y), view.back, -1));
-  // Where the ray enters or leaves the sphere; beside it, the nearest point of its outline.
+  // The light is moved to the point where the ray of the pointer enters or leaves the sphere of the handle. If the ray
+  // misses the sphere, the light is moved to the nearest point of the sphere's outline.
   const { centre, radius } = sphere(view), offset = add(view.eye, centre, -1), near = -dot(offset, ray);
   const inside = near * near - dot(offset, offset) + radius ** 2;
   const wasOutside = handle.outside;
@@ -413,7 +416,7 @@ byId("light").onpointerdown = (event) => {
 byId("light").onpointermove = (event) => event.target.hasPointerCapture(event.pointerId) && drag(event);
 byId("light").onpointerup = byId("light").onpointercancel = rest;
 
-// One pointer orbits or pans, two pan and zoom.
+// A mouse or one finger orbits or pans the camera. Two fingers pan and zoom.
 const pointers = new Map();
 let walked = 0;
 
@@ -441,7 +444,7 @@ canvas.onpointermove = (event) => {
   pointers.set(event.pointerId, [event.clientX, event.clientY]);
 };
 canvas.onpointerup = canvas.onpointercancel = (event) => {
-  // A click asks for the angles there.
+  // A click without a movement sets the probe, the point whose directions are shown.
   if (pointers.delete(event.pointerId) && walked < 3 && event.type === "pointerup") {
     const box = stage.getBoundingClientRect();
     const at = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];

@@ -1,5 +1,6 @@
-// From summed-up XYZ to the canvas: OKLab chroma compressed at constant lightness and hue, ACES 2.0 from a table by
-// tetrahedra, mixed with the background in linear light. As warpdiff's image/display_transform has it.
+// Display transform, from the sum of frames in XYZ to the canvas. The chroma is compressed at constant lightness and
+// hue of OKLab. ACES 2.0 is interpolated in a table, within tetrahedra. The result is mixed with the background in
+// linear light. The Python module image/display_transform computes the same.
 
 uniform highp sampler2D sum;
 uniform highp sampler3D table;
@@ -28,7 +29,7 @@ vec3 compressChroma(vec3 xyz) {
     return conesToXyz * (roots * roots * roots);
 }
 
-// The table's axes are blue, green and red.
+// The three axes of the table's texture are blue, green and red, in this order.
 vec3 entry(ivec3 rgb) { return texelFetch(table, rgb.bgr, 0).rgb; }
 ivec3 along(int axis) { return ivec3(axis == 0, axis == 1, axis == 2); }
 
@@ -37,7 +38,8 @@ vec3 aces(vec3 xyz) {
     float last = float(textureSize(table, 0).x - 1);
     vec3 place = log(1.0 + rgb / toe) / log(1.0 + white / toe) * last;
     vec3 first = min(floor(place), last - 1.0), t = place - first;
-    // From corner to corner along the axes, in the order of the fractions.
+    // Tetrahedral interpolation: the path from the cell's first corner to its last one follows the axes, in the order
+    // of decreasing fractions.
     int first_ = t.r >= t.g ? (t.r >= t.b ? 0 : 2) : (t.g >= t.b ? 1 : 2);
     int last_ = t.b <= t.g ? (t.b <= t.r ? 2 : 0) : (t.g <= t.r ? 1 : 0);
     float most = max(max(t.r, t.g), t.b), least = min(min(t.r, t.g), t.b), middle = t.r + t.g + t.b - most - least;

@@ -1,15 +1,19 @@
-// The page: a mesh whose surface carries baked lobes, turned and lit by hand.
+// Script of the exported page. It renders a mesh with baked lobes. The user rotates the mesh and the lights.
 //
-// What it holds lies in two elements: "header", JSON, and "data", arrays one after the other, deflated, as base64.
-// Programs may drive it through `window.warpdiff`, at the end of this file.
+// The data of the page are in two elements. "header" contains JSON. "data" contains the arrays, concatenated, deflated
+// and encoded in base64. Other scripts can control the page through `window.warpdiff`, at the end of this file.
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// Frames that a picture at rest adds up, and the share of the pixel's filter that each blurs by itself.
+// Number of frames that a picture at rest averages. Each of these frames is blurred by only this fraction of the pixel
+// filter's standard deviation; the jittered positions of the frames make up the rest.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
-// The pixel's filter: a Gaussian of half a pixel, cut at one and a half, and its standard deviation.
+// Time for the frames between two updates of a picture at rest [ms].
 const PICTURE_MS = 14;
+// Pixel filter [pixels]: width parameter of the Gaussian, distance at which it is truncated, and standard deviation of
+// the truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
+// Texels per side of the shadow map, and number of frames that share one shadow map if there is a single light.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
@@ -19,7 +23,7 @@ function fail(sentence) {
     throw new Error(sentence);
 }
 
-// ---------------------------------------------------------------------------------------------------- what it holds
+// ------------------------------------------------------------------------------------------------- unpacking of arrays
 
 async function unpack() {
     if (typeof DecompressionStream === "undefined") {
@@ -41,8 +45,9 @@ async function unpack() {
     return arrays;
 }
 
-// Whole numbers, column after column, each as its difference from the one before, whose sign is its lowest bit; their
-// lowest bytes come first, then the second ones, and so on.
+// Returns integers from their packed form. Columns follow one another, and each number is stored as its difference from
+// the number before. The lowest bit of the stored number is the sign. The lowest bytes of all numbers precede their
+// second bytes, and so on.
 function integers(part, rows, columns) {
     const result = new Uint32Array(rows * columns), count = rows * columns, planes = part.length / count;
     for (let c = 0; c < columns; ++c) {
@@ -57,23 +62,23 @@ function integers(part, rows, columns) {
     return result;
 }
 
-// ------------------------------------------------------------------------------------------------------ small algebra
+// ------------------------------------------------------------------------------------------------------------- vectors
 
 const sub = (a, b) => a.map((x, i) => x - b[i]);
 const add = (a, b, s = 1) => a.map((x, i) => x + s * b[i]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = (a) => { const length = Math.hypot(...a); return a.map((x) => x / length); };
-// v turned about a unit axis.
+// Returns the vector v rotated about a unit axis.
 function turned(v, axis, angle) {
     const c = Math.cos(angle), s = Math.sin(angle), across = cross(axis, v), along = dot(axis, v) * (1 - c);
     return v.map((x, i) => c * x + s * across[i] + along * axis[i]);
 }
-// Rows of a 4 × 4 matrix as WebGL takes it.
+// Returns the columns of a matrix, given its rows. WebGL expects matrices column by column.
 const columns = (rows) => new Float32Array([0, 1, 2, 3].flatMap((c) => rows.map((row) => row[c])));
 const columns3 = (rows) => new Float32Array([0, 1, 2].flatMap((c) => rows.map((row) => row[c])));
 
-// ------------------------------------------------------------------------------------------------------------- WebGL
+// --------------------------------------------------------------------------------------------------------------- WebGL
 
 const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true });
 if (!gl) {
@@ -141,16 +146,18 @@ function bind(shader, name, at, target, what) {
     gl.uniform1i(shader.uniforms[name], at);
 }
 
-// -------------------------------------------------------------------------------------------------------- the lobes
+// ----------------------------------------------------------------------------------------------- table of baked lobes
 
-// The polar grid's coefficients, resampled to a Cartesian grid with mip levels, a layer for each channel and each four
-// functions of w. Values are relative to `unit`, so that half floats hold them.
+// The coefficients of the polar grid are resampled to a Cartesian grid with mip levels. The grid has one layer per
+// colour channel and per group of four functions of w. Coefficients are divided by `lobesUnit` to fit half floats.
 const lobes = header.lobes, groups = Math.ceil(lobes.functions / 4), layers = 3 * groups;
 const SIZE = Math.min(Number(new URLSearchParams(location.search).get("size")) || lobes.size,
     gl.getParameter(gl.MAX_TEXTURE_SIZE));
 const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
-// Look-ups of a fragment: TAPS of each layer, functions, the zeroth order's wavelengths, shadow and base colour.
+// Limit on the texture fetches of a fragment. They are TAPS fetches per layer, one per group of functions, one per
+// wavelength of the zeroth order, and one each for shadow and base colour. DEVIATIONS is the extent of the taps to
+// either side of a footprint's centre, and STEP their distance, both in standard deviations.
 const MOST_FETCHES = 64;
 const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
@@ -220,9 +227,9 @@ function bakeGrid(arrays) {
     return grid;
 }
 
-// ---------------------------------------------------------------------------------------------------------- the mesh
+// ------------------------------------------------------------------------------------------------------------ the mesh
 
-// A unit vector of its place on an octahedron, 0 to 65535 along two axes.
+// Writes the unit vector of an octahedral encoding (two integers from 0 to 65535) into an array.
 function octahedral(coded, into, at) {
     const x = coded[0] / 32767.5 - 1, y = coded[1] / 32767.5 - 1, z = 1 - Math.abs(x) - Math.abs(y);
     const over = Math.max(-z, 0);
@@ -283,13 +290,13 @@ async function loadTexture(arrays) {
     return result;
 }
 
-// ----------------------------------------------------------------------------------------------------- view and light
+// ------------------------------------------------------------------------------------------------------ view and light
 
 const start = () => structuredClone({ view: header.view, lights: header.lights });
 let { view, lights } = start();
 let exposure = header.exposure, stops = 0;
 const radius = header.radius, centre = header.centre;
-// World coordinates to those of the mesh, in the unit sphere.
+// Returns a point in mesh coordinates, in which the mesh lies in the unit sphere, from its world coordinates.
 const local = (point) => sub(point, centre).map((x) => x / radius);
 
 function camera(width, height, shift) {
@@ -305,11 +312,12 @@ function camera(width, height, shift) {
     return { eye, right, up, back, half, matrix: columns([across, along, z, depth.map((d) => -d)]) };
 }
 
-// Where a light is, or the direction to it, in the coordinates of the mesh.
+// Returns the position of a point light, or the direction to a directional light, in mesh coordinates.
 const placed = (light) => (light.position ? local(light.position) : unit(light.to_light));
 
-// A light's projection of what the view sees, parallel or from its place, and how wide a texel of its shadow map is: at a
-// distance of 1 where it has a place, which lies outside the unit sphere.
+// Returns the projection of a light's shadow map, which covers the visible part of the mesh. The projection is
+// orthographic for a directional light, and perspective from the light's position for a point light. `texel` is the
+// width of a texel, for a point light at the distance 1.
 function lightCamera(light, matrix, positions) {
     const place = placed(light), away = light.position ? Math.hypot(...place) : 0;
     const back = unit(place), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
@@ -334,7 +342,8 @@ function lightCamera(light, matrix, positions) {
         ];
         return { rows, texel: size / SHADOW_SIZE };
     }
-    // The last row is the distance along the axis, and the middle of what is seen may lie beside that.
+    // The last row is the distance along the light's axis. The projection is off-axis, because the centre of the
+    // visible part need not lie on the axis.
     const depth = [...back.map((r) => -r), away], [near, end] = [Math.max(away - 1.02, 1e-3), away + 1.02];
     const beside = (axis, middle) => depth.map((d, c) => 2 / size * ((c < 3 ? axis[c] : 0) - middle * d));
     const rows = [
@@ -344,7 +353,8 @@ function lightCamera(light, matrix, positions) {
     return { rows, texel: size / SHADOW_SIZE };
 }
 
-// Places in the pixel under its filter, evenly spread: a low-discrepancy sequence (R2, M. Roberts) through the Gaussian.
+// Returns the offset of a frame's rays from the pixel centres [pixels]. The offsets are a low-discrepancy sequence (R2,
+// M. Roberts), mapped to the Gaussian distribution of the pixel filter.
 function jitter(index) {
     if (FRAMES_AT_REST < 2) return [0, 0];
     const place = [0.7548776662466927, 0.5698402909980532].map((step) => (0.5 + step * (index + 1)) % 1);
@@ -352,7 +362,7 @@ function jitter(index) {
     return place.map((p) => deviation * Math.max(-CUT / FILTER, Math.min(CUT / FILTER, quantile(p))));
 }
 
-// The normal distribution's quantile (P. Acklam's middle part with tails by Newton's steps).
+// Returns the quantile of the standard normal distribution, by Newton's method.
 function quantile(p) {
     let x = 0;
     for (let k = 0; k < 30; ++k) {
@@ -366,11 +376,11 @@ function quantile(p) {
     return x;
 }
 
-// ------------------------------------------------------------------------------------------------------ the pictures
+// ----------------------------------------------------------------------------------------------------------- rendering
 
 let scene = null, sums = null, added = 0, changes = 0;
 
-// A frame under one light, with depth, and the sums of all.
+// Makes the render targets: a frame under one light, its depth, and the sum over all lights and frames.
 function makeSums(width, height) {
     if (sums) {
         for (const texture of [sums.colour, sums.frame]) gl.deleteTexture(texture);
@@ -404,7 +414,8 @@ function makeShadows() {
     return { map, target };
 }
 
-// Backs of a closed body are never seen, but where corners are rounded to a grid they are, along edges, and sparkle.
+// Draws the mesh. Back faces of a closed mesh are not drawn to the picture: along edges they would appear through gaps,
+// because the rasterizer rounds vertex positions, and such pixels would sparkle.
 function drawMesh(seen = true) {
     if (header.closed && seen) gl.enable(gl.CULL_FACE);
     else gl.disable(gl.CULL_FACE);
@@ -412,13 +423,14 @@ function drawMesh(seen = true) {
     gl.drawElements(gl.TRIANGLES, scene.mesh.indices, gl.UNSIGNED_INT, 0);
 }
 
-// Adds a frame to the sums, which the first one begins: blurred by all of the pixel's filter while anything moves.
+// Adds a frame to the sum of frames; the first frame clears the sum. During a movement, each frame is blurred by the
+// whole pixel filter.
 function addFrame(moving) {
     const { width, height } = sums, shift = moving ? [0, 0] : jitter(added);
     const seen = camera(width, height, shift);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.target);
     if (added === 0) gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    // Depth alone, so that each pixel is shaded once for each light.
+    // The first pass writes only depth, so that each pixel is shaded only once per light.
     gl.enable(gl.DEPTH_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.frameTarget);
     gl.viewport(0, 0, width, height);
@@ -440,12 +452,12 @@ function addFrame(moving) {
         gl.uniformMatrix4fv(uniforms.projection, false, seen.matrix);
         gl.uniform3fv(uniforms.eye, seen.eye);
         gl.uniform4fv(uniforms.place, [...placed(light), light.position ? 1 : 0]);
-        // Distances are in the mesh's unit.
+        // The shader measures distances in mesh radii, so that the power of a point light is scaled.
         gl.uniform1f(uniforms.power, light.position ? light.power / radius ** 2 : light.power);
         gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
         gl.uniform1f(uniforms.deviation, (moving ? 1 : OWN_SHARE) * DEVIATION);
-        // Frames at rest see points of the texture.
+        // Without movement, frames use the finest mip level of the texture. Their average filters the texture.
         gl.uniform1f(uniforms.textureBias, moving ? 0 : -16);
         bind(scene.surface, "lobes", 0, gl.TEXTURE_2D_ARRAY, scene.grid);
         bind(scene.surface, "functionsOfW", 1, gl.TEXTURE_2D, scene.functions);
@@ -471,11 +483,12 @@ function addFrame(moving) {
     ++added;
 }
 
-// Of one light it serves some frames: to draw it takes as long as to shade a picture.
+// Returns the shadow map of a light. With a single light, several frames share one shadow map, because rendering it
+// requires as much time as shading a frame.
 function shadowOf(light, matrix, aside) {
     if (lights.length === 1 && added % FRAMES_OF_SHADOW !== 0) return scene.shadows.last;
     const { rows, texel } = lightCamera(light, matrix, scene.mesh.positions);
-    // Texels' edges lie elsewhere in each frame.
+    // Each shadow map is shifted by a part of a texel, so that the average over frames hides the edges of texels.
     for (const axis of [0, 1]) rows[axis] = add(rows[axis], rows[3], (aside[axis] - 0.5) * 4 / SHADOW_SIZE);
     const result = columns(rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, scene.shadows.target);
@@ -503,7 +516,7 @@ function show() {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
-// XYZ and coverage of the pixels, bottom row first.
+// Returns the mean XYZ and coverage of the pixels, four numbers per pixel, bottom row first.
 function colours() {
     const result = new Float32Array(4 * sums.width * sums.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.target);
@@ -511,7 +524,8 @@ function colours() {
     return result.map((x) => x / added);
 }
 
-// The factor that gives the mean luminance of what is lit, but for its brightest ten-thousandth, what ACES shows well.
+// Returns the automatic exposure factor. It maps the mean luminance of the illuminated pixels, without the brightest
+// 0.01 %, to the mean that suits ACES.
 function metered() {
     const xyz = colours(), luminance = [];
     for (let k = 0; k < xyz.length; k += 4) if (xyz[k + 1] > 0) luminance.push(xyz[k + 1]);
@@ -521,7 +535,7 @@ function metered() {
     return mean > 0 ? header.mean_shown / mean : 1;
 }
 
-// ---------------------------------------------------------------------------------------------------------- by hand
+// --------------------------------------------------------------------------------------------------------- interaction
 
 let lastChange = -Infinity, scheduled = false, fixedSize = null, cost = 0;
 
@@ -557,14 +571,14 @@ function tick() {
     scheduled = false;
     if (fixedSize) return;
     const moving = performance.now() - lastChange < 200, begin = performance.now();
-    // Half the resolution while it moves, where a frame takes too long.
+    // During a movement, the resolution is halved if a frame requires more than 60 ms.
     fit(moving && cost > 60 ? 0.5 : 1);
     if (moving) added = 0;
     else if (resting !== changes) {
         resting = changes;
         added = 0;
     }
-    // At rest as many as fit between two pictures of the display.
+    // At rest, as many frames are added as fit between two updates of the display.
     const before = added;
     do addFrame(moving); while (!moving && added < FRAMES_AT_REST && added - before < atOnce);
     if (exposure === null) exposure = metered();
@@ -612,7 +626,7 @@ function zoom(factor) {
     changed();
 }
 
-// All lights turn with the first one.
+// Rotates all lights together, such that the first one gets the direction `towards`.
 function turnLights(towards) {
     const from = unit(placed(lights[0])), axis = cross(from, towards), sine = Math.hypot(...axis);
     if (sine < 1e-9) return;
@@ -673,7 +687,7 @@ function listen() {
     canvas.addEventListener("webglcontextlost", () => fail("The graphics device was lost: reload the page."));
 }
 
-// -------------------------------------------------------------------------------------------------------------- start
+// --------------------------------------------------------------------------------------------------- start of the page
 
 async function begin() {
     const arrays = await unpack();
@@ -719,10 +733,10 @@ async function begin() {
     changed();
 }
 
-// For programs that drive the page: `await warpdiff.ready`, then
-// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`, with optional fields, returns
-// { width, height, xyz }, the mean of `frames` frames: XYZ and coverage, bottom row first. The canvas shows it until
-// a user changes the view. With `more` the frames are added to those of the last call.
+// Interface for other scripts. After `await warpdiff.ready`, call
+// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`; all fields are optional. It returns
+// { width, height, xyz }. `xyz` has the mean XYZ and coverage over `frames` frames, bottom row first. The canvas shows
+// the picture until a user changes the view. With `more`, the frames are added to those of the last call.
 window.warpdiff = {
     ready: begin(),
     header,

@@ -1,7 +1,8 @@
-// One channel of four functions' coefficients at a texel of the Cartesian grid, from the polar one: splines around four
-// rings, the cubic through these.
+// Resamples one colour channel of the coefficients from the polar grid to the Cartesian grid, for four functions of w.
+// Along each of four rings, a cubic spline interpolates over the azimuth. Across the rings, the cubic polynomial
+// through the four values interpolates.
 
-uniform highp sampler2DArray polar;  // nodes in rows, a layer for each channel and four functions
+uniform highp sampler2DArray polar;  // coefficients of the polar grid's nodes, one layer per colour channel and group of four functions
 uniform int layer;
 uniform int ringsAnOctave;
 uniform int octaves;

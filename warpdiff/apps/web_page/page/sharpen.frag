@@ -1,4 +1,5 @@
-// What linear interpolation between texels blurs by, a sixth of their distance squared along either axis, taken back.
+// Sharpens a layer to compensate the blur of linear interpolation between texels. The variance of this blur is a sixth
+// of the squared texel distance along each axis.
 
 uniform highp sampler2D frame;
 out vec4 sharpened;

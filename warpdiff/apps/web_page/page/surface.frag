@@ -1,8 +1,8 @@
-// What a light makes of the surface in a pixel: the mean of its lobes over the pixel's footprint in (u, v), and pigment.
+// Shades a pixel under one light: the mean of the baked lobes over the pixel's footprint in (u, v), and the pigment.
 //
-// A footprint follows, in closed form, from how position, normal and tangent change on the face (ray differentials, Igehy
-// 1999; as kernels/footprints.py has it). These are linear on a face, and the four pixels that a GPU differences are of
-// one face, extended beyond its edges where it ends: nothing of another face comes into it.
+// The footprint follows in closed form from the derivatives of position, normal and tangent on the face (ray
+// differentials, Igehy 1999), as in kernels/footprints.py. All three are linear on a face. A GPU computes derivatives
+// from four pixels of the same face, which it extends beyond its edges, so that other faces have no influence.
 
 in vec3 vPosition, vNormal, vTangent;
 flat in float vHandedness;
@@ -11,7 +11,7 @@ in vec4 vColour;
 out vec4 xyzAndCoverage;
 
 uniform vec3 eye;
-uniform vec4 place;  // homogeneous: the direction to the light and 0, or where it is and 1
+uniform vec4 place;  // homogeneous coordinates of the light: (direction, 0) or (position, 1)
 uniform float power, lightDeviation, coverage, deviation, textureBias;
 uniform bool smoothNormals, masking, hasShadows;
 uniform float normalReflectance;
@@ -20,13 +20,13 @@ uniform float shadowLift;
 uniform highp sampler2DShadow shadows;
 uniform sampler2D baseColour;
 uniform bool hasBaseColour;
-uniform vec3 pigmentWhite;  // linear sRGB of what a white pigment sends back, over R(0)
+uniform vec3 pigmentWhite;  // linear sRGB colour of a white pigment, divided by R(0)
 uniform mat3 rgbToXyz;
 
 uniform highp sampler2DArray lobes;
 uniform highp sampler2D functionsOfW, zerothOrder;
 uniform float unit;
-uniform float variances[WAVELENGTHS];  // of the mean plane's lobe in (u, v)
+uniform float variances[WAVELENGTHS];  // variance of the mean plane's lobe in (u, v), per wavelength
 uniform vec3 weights[WAVELENGTHS];
 
 const float LEAST_COSINE = 0.01, LARGEST_W = 2.0, SPACING = 4.0 / SIZE;
@@ -35,7 +35,8 @@ float schlick(float cosine) {
     return normalReflectance + (1.0 - normalReflectance) * pow(1.0 - min(cosine, 1.0), 5.0);
 }
 
-// C · M: the factor between the lobes and the reflectance. The one material, Schlick's reflectance, is here alone.
+// Returns the factor between the lobes and the reflected light: geometry factor, masking, and the reflectance by
+// Schlick's approximation relative to normal incidence.
 float gain(float cosLight, float cosView, vec3 sum) {
     float least = min(cosLight, cosView);
     if (least <= 1e-6) return 0.0;
@@ -44,7 +45,8 @@ float gain(float cosLight, float cosView, vec3 sum) {
     return schlick(cosHalf) / normalReflectance * overlap * overlap * mask / (total * total * cosView);
 }
 
-// The mean plane's lobe, a Gaussian at each wavelength, over a covariance of (u, v).
+// Returns the colour of the mean plane's lobe, a Gaussian per wavelength, averaged over a footprint. `covariance` has
+// the elements xx, xy and yy of the footprint's covariance in (u, v).
 vec3 zeroth(vec2 uv, float w, vec3 covariance) {
     vec3 result = vec3(0.0);
     float entries = float(textureSize(zerothOrder, 0).x);
@@ -60,21 +62,23 @@ vec3 zeroth(vec2 uv, float w, vec3 covariance) {
     return result;
 }
 
-// All others, from the grid's levels: the footprint's short axis chooses one, look-ups along its long axis add up.
+// Returns the colour of all other lobes, averaged over a footprint. The short axis of the footprint selects the mip
+// level, and several taps along the long axis are added.
 vec3 others(vec2 uv, float w, vec3 covariance) {
     float middle = 0.5 * (covariance.x + covariance.z), half_ = 0.5 * (covariance.x - covariance.z);
     float root = sqrt(half_ * half_ + covariance.y * covariance.y);
     float most2 = middle + root, least2 = max(middle - root, 0.0);
     vec2 axis = abs(half_) + abs(covariance.y) < 1e-20 ? vec2(1.0, 0.0) : normalize(
         half_ > 0.0 ? vec2(half_ + root, covariance.y) : vec2(covariance.y, root - half_));
-    // Level 0 does not blur, and level n by (4ⁿ − 1)/4 texels squared; no more than TAPS of them reach as far as STEPS of
-    // these.
+    // Mip level n blurs with a variance of (4ⁿ − 1)/4 squared texels. The blur is at least such that TAPS taps, STEP
+    // standard deviations of the blur apart, cover the long axis.
     float own2 = 0.25 * SPACING * SPACING, blur2 = max(max(least2, most2 / (1.0 + REACH * REACH)), 1e-3 * own2);
     float level = floor(0.5 * log2(blur2 / own2 + 1.0)), scale = exp2(2.0 * level);
     float lod = level + (blur2 / own2 + 1.0 - scale) / (3.0 * scale);
     float along = sqrt(max(most2 - blur2, 0.0)), ratio = along / sqrt(blur2);
     int taps = ratio < 0.1 ? 1 : min(1 + int(ceil(2.0 * DEVIATIONS * ratio / STEP)), TAPS);
-    // So far apart that their variance is that of what is left, however many they are.
+    // The distance of the taps is scaled such that their variance equals the remaining variance along the long axis,
+    // for any number of taps.
     float apart = taps > 1 ? 2.0 * DEVIATIONS / float(taps - 1) : 0.0, centre = 0.5 * float(taps - 1), variance = 0.0;
     float whole = 0.0;
     for (int k = 0; k < taps; ++k) {
@@ -99,17 +103,19 @@ vec3 others(vec2 uv, float w, vec3 covariance) {
     return max(result, 0.0) * (unit * w * w / whole);
 }
 
-// How a direction to what is near changes as the position does.
+// Returns the derivative of a unit direction to a near point, given the derivative of the position. `perDistance` is 1
+// divided by the distance of the point, or 0 for an infinite distance.
 vec3 turns(vec3 position, vec3 direction, float perDistance) {
     return (dot(position, direction) * direction - position) * perDistance;
 }
 
-// How (sum · t, sum · b) changes as position, normal and tangent do.
+// Returns the derivative of (sum · t, sum · b), given the derivatives of position, normal and tangent. `sum` is the sum
+// of the directions to light and viewer, t the tangent and b the bitangent.
 vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, float distance, vec3 sum, float perNormal,
              float clamped, float tilt, float perTangent, vec3 toLight, float perLight) {
     vec3 turn = turns(position, toView, 1.0 / distance) * frame, view = toView * frame;
     vec2 ofNormal = perNormal * (normal * frame).xy;
-    // A normal that was turned to the viewer keeps its angle with the view.
+    // A normal that was rotated towards the viewer has a constant angle with the view direction.
     ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
     float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
     return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy
@@ -120,7 +126,7 @@ void main() {
     vec3 away = eye - vPosition, toView = normalize(away);
     vec3 geometric = normalize(cross(dFdx(vPosition), dFdy(vPosition)));
     geometric *= dot(geometric, toView) < 0.0 ? -1.0 : 1.0;
-    // Seen from behind, the normal is turned over.
+    // On back faces the normal is reversed.
     float side = gl_FrontFacing ? 1.0 : -1.0, size = length(vNormal);
     bool blends = smoothNormals && size > 1e-4;
     vec3 n = blends ? vNormal * (side / size) : geometric;
@@ -146,7 +152,7 @@ void main() {
     float factor = power * falloff * gain(lightLocal.z, sum.z - lightLocal.z, sum);
     vec4 base = texture(baseColour, vTextureUv, textureBias);
     if (hasShadows && factor > 0.0) {
-        // From above the surface by as much as the shadow map's texels are wide, seen from the light.
+        // The look-up position is lifted above the surface by about a texel of the shadow map, against self-shadowing.
         float slant = clamp(dot(geometric, toLight), 0.0, 1.0);
         vec3 from = vPosition + shadowLift * (place.w > 0.0 ? sqrt(near2) : 1.0) * (geometric * sqrt(1.0 - slant * slant) + toLight * 0.5);
         vec4 at = lightProjection * vec4(from, 1.0);
@@ -156,7 +162,7 @@ void main() {
     if (factor <= 0.0) return;
     vec3 covariance = vec3(right.x * right.x + down.x * down.x, right.x * right.y + down.x * down.y,
         right.y * right.y + down.y * down.y);
-    // A light of a size spreads over two directions at right angles to it.
+    // The angular size of the light adds variance in the two directions perpendicular to the light's direction.
     covariance += lightDeviation * lightDeviation
         * vec3(1.0 - lightLocal.x * lightLocal.x, -lightLocal.x * lightLocal.y, 1.0 - lightLocal.y * lightLocal.y);
     vec3 xyz = factor * (others(uv, sum.z, covariance) + zeroth(uv, sum.z, covariance));

@@ -1,4 +1,4 @@
-// Corners of faces, for all passes that draw the mesh.
+// Vertex shader of all passes that draw the mesh. With SHADED it also passes on the attributes for shading.
 
 in vec3 position;
 #ifdef SHADED
