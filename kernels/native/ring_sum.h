@@ -67,7 +67,7 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// Replace `widest` by the widest mip level of an octave for a variance along the ring. Levels may be twice as wide in
+// Replace `widest` by the widest mip level of one octave for a variance along the ring. Levels may be twice as wide in
 // the next octave inwards, so that the search starts one level below.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
