@@ -22,7 +22,7 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Last commit with the public names of version 0.1.0.
+# Hash of the last commit with the public names of version 0.1.0.
 BASELINE = "435cbd29d7812b4a0b884249204b87c1858a2e49"
 
 

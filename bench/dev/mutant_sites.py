@@ -67,7 +67,7 @@ class Mutant:
     identity: str
 
     def apply(self, source: bytes) -> bytes:
-        """Return the source with the change."""
+        """Return the source of the file with this change."""
         return source[: self.begin] + self.new.encode() + source[self.begin + len(self.old.encode()) :]
 
 
@@ -134,7 +134,7 @@ def changed_number(value: complex) -> str:
 
 
 def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
-    """Return all changes of a package's Python files."""
+    """Return all possible one-token changes of a package's Python files."""
     counts: Counter[str] = Counter()
     for path in sorted((root / PACKAGES[package]).glob("*.py")):
         source = path.read_bytes()

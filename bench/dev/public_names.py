@@ -28,9 +28,9 @@ FUNCTIONS = {"reflectance_map": "brdf_map"}
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
-    "periods": "copies",  # of Coherence
-    "delta_e": "tolerance",  # of bake
-    "previews": "coarser",  # of Renderer.draw
+    "periods": "copies",  # argument of Coherence
+    "delta_e": "tolerance",  # argument of bake
+    "previews": "coarser",  # argument of Renderer.draw
 }
 # Functions and methods that have renamed arguments.
 RENAMED_FUNCTIONS = (

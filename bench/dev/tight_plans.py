@@ -58,7 +58,8 @@ FEWER = (8, 10, 11, 13)
 # Parts of the bandwidth: share of the constant part in quarter octaves, and division of the rest between (u, v) and w.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# Number of tried values from the least sufficient one on: numbers of terms, and exponents of the least weight.
+# Number of values that are tried, starting at the least sufficient one: numbers of terms, and exponents of the least
+# weight.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and largest value of the exponent of the least weight.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0

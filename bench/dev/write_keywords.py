@@ -40,7 +40,7 @@ class _WithoutRanges(ast.NodeTransformer):
 
 
 def keywords(settings: str) -> str:
-    """Return the text of ``keywords.py`` for the source of ``settings.py``."""
+    """Return the text of ``keywords.py`` that corresponds to the source of ``settings.py``."""
     blocks = [HEAD]
     for node in ast.parse(settings).body:
         if not isinstance(node, ast.ClassDef):

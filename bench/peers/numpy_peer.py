@@ -63,7 +63,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return XYZ of one chunk of directions, without gains."""
     terms = made.rows.shape[2]
-    # Shapes below are (directions, wavelengths, neighbours), the last along one axis.
+    # Arrays in this function have the shape (directions, wavelengths, neighbours along one axis).
     offsets = np.arange(-made.neighbour_extent, made.neighbour_extent + 1, dtype=np.float32)
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):

@@ -47,7 +47,7 @@ EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # Share of the pixels of the whole picture that may clip where colours are compared.
 CLIPPED = 1e-3
-# Factors of the distance between eye and crop.
+# Factors that multiply the distance between the eye and the crop.
 DISTANCES = (1.0, 2.0, 0.25)
 
 

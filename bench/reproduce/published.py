@@ -48,7 +48,9 @@ WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """A setting of the published algorithm."""
+    """Setting of the published algorithm: numbers of wavelengths, terms and neighbours, and how heights and positions
+    are treated.
+    """
 
     wavelengths: int = 81
     terms: int = 37

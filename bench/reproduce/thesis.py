@@ -47,7 +47,7 @@ GRID_DEG = 0.0025
 # period.
 SOUGHT = 1.3
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Means and variances over the wavelengths [nm, nm²], as published.
+# Published periods by surface and kind of sum: means and variances over the wavelengths [nm, nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
@@ -95,7 +95,7 @@ class Setup:
 
     @property
     def natural_name(self) -> str:
-        """Name of the natural surface."""
+        """Name of the natural surface in figures."""
         return "fingers" if self.scan is None else "Elaphe"
 
 

@@ -65,7 +65,7 @@ class Outcome(NamedTuple):
 
 
 def run(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> Outcome:
-    """Make a call and evaluate its errors."""
+    """Make one random call and evaluate its errors."""
     case = configurations.configuration(index, seed, scan, layouts)
     try:
         result = judge.evaluate(case, threads=1)
@@ -94,7 +94,7 @@ def start_worker(seed: int, data: str | None, layouts: tuple[str, ...]) -> None:
 
 
 def work(index: int) -> Outcome:
-    """Make one call in a worker process."""
+    """Make one random call in a worker process."""
     return run(index, **_worker)  # type: ignore[arg-type]
 
 

@@ -45,7 +45,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def ways(quick: bool) -> dict[str, dict[str, Any]]:
-    """Return the arguments of ``Renderer`` by method."""
+    """Return the arguments of ``Renderer`` for each compared method, by name."""
     result: dict[str, dict[str, Any]] = {"means": {"tolerance": 3e-2, "refine": False}}
     for tolerance in (1e-1, 3e-2) if quick else (2e-1, 1e-1, 5e-2, 3e-2, 2e-2):
         result[f"refined to {tolerance:g}"] = {"tolerance": tolerance}

@@ -76,7 +76,7 @@ class Panel(NamedTuple):
 
 
 class Points:
-    """Errors by curve and point, and the points at which an automatic choice refuses or warns."""
+    """Errors of a panel by curve and point, and the points at which an automatic choice refuses or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []

@@ -70,7 +70,7 @@ class Integral:
     def __call__(
         self, shape: str, period: float, depth: float, angle: float, index: float | None, *, finer: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-        """Return orders, their efficiencies, and the error of the energy balance."""
+        """Return the diffraction orders of a grating, their efficiencies, and the error of the energy balance."""
         profile = {
             "sine": lambda: self._profiles.Sinusoidal(depth_fraction=depth / period),
             "square": lambda: self._profiles.Lamellar(depth_fraction=depth / period),
@@ -197,7 +197,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
             linestyles="solid",
         )  # fmt: skip
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
-        # The curve is the depth at which the bound, which increases with the depth, reaches its limit.
+        # The drawn curve is the depth at which the error bound reaches its limit. The bound increases with the depth.
         limit = [
             np.interp(LIMIT, [scalar_error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine
         ]

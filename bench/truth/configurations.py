@@ -78,8 +78,8 @@ class Configuration(NamedTuple):
     surface: str
     layout: str
     words: str
-    to_light: np.ndarray | None = None  # (n, 3), or (3,) for a map
-    to_view: np.ndarray | None = None  # (n, 3)
+    to_light: np.ndarray | None = None  # directions to the light (n, 3), or (3,) for a map
+    to_view: np.ndarray | None = None  # directions to the viewer (n, 3)
     size: int = 0  # width of a reflectance map [pixels]
     picture: Picture | None = None
     material: wd.Material | None = None

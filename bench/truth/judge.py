@@ -31,10 +31,11 @@ COUNT = 2000
 BRIGHT = 600
 # Upper bound of the reference's tolerance: half of this value, and at most half of the tolerance of the call.
 TRUTH_TOLERANCE = 1e-3
-# Least cosine to the normal of a light source. Limit: nearer to the horizon its spread is so foreshortened that the
-# reference requires half a million wavelengths.
+# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon its spread is so
+# foreshortened that the reference requires half a million wavelengths.
 LOWEST_SOURCE = 0.02
-# Lower limit of the floor f, relative to Y of a mirror. The reference converges down to this value.
+# Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference converges down to this
+# value.
 LEAST = 1e-10
 
 

@@ -246,7 +246,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # An axis of one sample is constant: it has no order but 0.
+        # An axis with one sample is constant, so that only its order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))

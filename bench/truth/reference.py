@@ -63,7 +63,7 @@ def step_of(coherence, sigma, centre):
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) between two wavelengths [µm]."""
+    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) for wavelengths between two limits [µm]."""
     return (
         Replicas(heightfield, step)
         if step.kind == "replicas"
@@ -136,7 +136,8 @@ class Coefficients:
         """Return the matrix A of the Gaussian exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
         if self.step.kind != "source":
             return np.eye(2)
-        # A disc in the sky becomes an ellipse on the surface. It is shorter by the factor cos θi towards the light.
+        # A disc in the sky becomes an ellipse on the surface. Its axis towards the light is shorter by the factor cos
+        # θi.
         across = to_light[:2]
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
@@ -187,7 +188,7 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # An axis of one sample is constant: it has no order but 0.
+            # An axis with one sample is constant, so that only its order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)

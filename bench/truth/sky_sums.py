@@ -117,7 +117,10 @@ class SkySums:
         return light.power * self._sums(pixels, draw, density, colours, across, seed)
 
     def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
-        """Return XYZ of pixels under a sky, (height, width) or with RGB, by ``across``² rays per pixel, (n, 3)."""
+        """Return XYZ of pixels under a sky, by ``across``² rays per pixel, (n, 3).
+
+        ``sky`` has the shape (height, width), or (height, width, 3) with RGB.
+        """
         sky = np.repeat(sky[..., None], 3, axis=2) if sky.ndim == 2 else sky
         height, width = sky.shape[:2]
         share_of = sky.sum(axis=2) * np.sin((np.arange(height) + 0.5) / height * math.pi)[:, None]

@@ -15,8 +15,8 @@
 
 namespace warpdiff {
 
-// Number of iterations of the vectorised loops, which always run completely. Compilers round differently in the
-// remainder loop after the last full vector.
+// Number of pixels or parts that a vectorised loop processes at a time. Loops always run for whole batches, because
+// compilers round differently in the remainder after the last full vector.
 constexpr int ABREAST = batch_of(8);
 // Largest number of rings per segment. A GPU has no limit, because it does not store the rings.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
@@ -50,7 +50,7 @@ struct Footprints {
     AtW<N> at_w;
 };
 
-// Parts of the footprints of several pixels.
+// Parts of the footprints of several pixels, with their positions and blurs in the table.
 template <int N>
 struct Parts {
     int count;
@@ -142,7 +142,7 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
             pixels.angle2[i] = polar.angle2;
             pixels.ratio2[i] = polar.ratio2;
             pixels.both[i] = polar.both;
-            // The centres of the parts lie along the change of (u, v) that is correlated with the angle.
+            // The centres of a footprint's parts lie along the change of (u, v) that is correlated with the angle.
             const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
             pixels.along_u[i] = polar.angle_u * per_whole;
             pixels.along_v[i] = polar.angle_v * per_whole;
@@ -177,7 +177,7 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// Indices of the pixel and of its part that are processed next.
+// Indices of the pixel and of the part of its footprint that are processed next.
 struct NextPart {
     int pixel, part;
 };
@@ -284,7 +284,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // This loop is separate, because compilers do not vectorise loops with indexed reads and several outputs.
+    // This loop only reads a table. It is separate, because compilers do not vectorise loops with indexed reads and
+    // several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
@@ -312,7 +313,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // The first ring is a multiple of the spacing, so that neighbouring pixels use the same rings.
+            // The index of the first ring is a multiple of the ring spacing, so that neighbouring pixels use the same
+            // rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -320,7 +322,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Indices of the part and of its ring that are processed next.
+// Indices of the part of a footprint and of its ring that are processed next.
 struct NextRing {
     int part, ring;
 };

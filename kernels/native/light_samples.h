@@ -88,7 +88,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
     for (int i = 0; i < N; ++i) {
-        // The frame is stored in float32. Both directions are normalised again, so that the mirror direction is exact.
+        // The shading frame is stored in float32. The directions to the light and to the viewer are normalised again,
+        // so that the mirror direction is exact.
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
@@ -102,7 +103,7 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
             to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;
             to_view[axis] = view_x * x + view_y * y + view_z * z;
         }
-        // The small term prevents a division by 0 for a light that lies on the surface.
+        // The added 1e-300 prevents a division by 0 for a light that lies on the surface.
         const double per_light = 1.0 / wp::sqrt(dot(to_light, to_light) + 1.0e-300);
         const double per_view = 1.0 / wp::sqrt(dot(to_view, to_view));
         for (int c = 0; c < 3; ++c) {

@@ -78,7 +78,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
-            // This ring lies in the next octave, which has a different number of azimuths.
+            // The ring lies in the next octave of the table, which has a different number of azimuths.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);

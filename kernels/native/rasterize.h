@@ -92,7 +92,7 @@ struct Triangles {
     double column[3][FACES], row[3][FACES], depth[3][FACES];
     bool rises[3][FACES];
     int face[FACES], count = 0;
-    // Range of pixels that the face may cover, and its edges: start, extent, sign, and columns per row.
+    // Range of pixels that each triangle may cover, and its edges: start, extent, sign, and columns per row.
     double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
     double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
 
@@ -313,8 +313,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // Edges opposite to the three corners, in this order: the edge between the other two corners, the edge from the
-        // last corner to the first, and the edge from the first.
+        // Directions of the edges opposite to the triangle's three corners. The diagonal between two triangles has
+        // opposite directions in them.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;

@@ -114,8 +114,8 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // The spline between rings widens its coefficients by a variance of a quarter of the squared ring spacing, which is
-    // added to the covariance.
+    // The quadratic spline between rings blurs its coefficients by a variance of a quarter of the squared ring spacing.
+    // This variance is added to the covariance of the Gaussian.
     const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
     const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
@@ -144,7 +144,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float nearer = wp::exp(-(float)apart / table.rings_per_log);
     WeighedRows<WIDTH> sum;
     sum.clear();
-    // Octave −1 marks that no mip level has been selected yet.
+    // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
         // Nearer to the mirror direction, the Gaussian covers a larger part of each ring.
@@ -167,7 +167,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // Arc ends are rounded, so that arcs that touch include each azimuth once.
+        // The ends of arcs are rounded, so that two arcs that touch include each azimuth once.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

@@ -51,13 +51,15 @@ struct ShadowPoints {
         const double x0 = corners[0], y0 = corners[1], z0 = corners[2], x1 = corners[3], y1 = corners[4];
         const double z1 = corners[5], x2 = corners[6], y2 = corners[7], z2 = corners[8];
         for (int j = 0; j < N; ++j) {
-            // Twice the areas of the triangles between the point and the edges. The products are exact.
+            // Twice the areas of the triangles between the point and the three edges of the face. The products are
+            // exact.
             const double e0 = (x2 - x1) * (y[j] - y1) - (y2 - y1) * (x[j] - x1);
             const double e1 = (x0 - x2) * (y[j] - y2) - (y0 - y2) * (x[j] - x2);
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-            // The result for a point in the plane of a face must not depend on lower faces next to it.
+            // Only faces with their highest corner above a point occlude it. A point in the plane of a face is then not
+            // affected by lower faces next to it.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }

@@ -129,7 +129,7 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample at a distance of `f` rings from the middle ring.
+    // Add a sample of the spectrum to the three integrals. The sample lies `f` rings from the middle ring.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
