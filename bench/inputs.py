@@ -1,4 +1,4 @@
-"""Folder of the real inputs: ``--data``, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout."""
+"""Location of the folder of real inputs: the option ``--data``, ``WARPDIFF_DATA``, or ``../shared/data``."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
 # Factor of the lowest predicted cost above which methods and settings are excluded.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
-# Largest number of directions of one timing.
+# Largest number of directions of one timed call. Limit: duration of a comparison.
 MOST_TIMED = 4096
 # Number of assignments that are evaluated at once. Limit: memory.
 CHUNK = 64

@@ -48,9 +48,7 @@ WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """Setting of the published algorithm: numbers of wavelengths, terms and neighbours, and how heights and positions
-    are treated.
-    """
+    """Setting of the published algorithm: numbers of wavelengths, terms and neighbours, centring and rounding."""
 
     wavelengths: int = 81
     terms: int = 37

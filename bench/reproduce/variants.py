@@ -38,7 +38,7 @@ ACCURACY = 1e-6
 SINC_REACH = 3
 # Standard deviation of the window [µm]. Origin: as published.
 SIGMA_UM = 16.25
-# Number of values that are evaluated at once. Limit: memory.
+# Number of pairs of direction and wavelength that are evaluated at once. Limit: memory.
 CHUNK = 1 << 15
 
 

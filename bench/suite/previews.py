@@ -70,7 +70,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the pictures of all scenes on one sheet. Return the finding."""
+    """Draw the pictures of all scenes on one sheet. Return the finding as text."""
     plt = figures.pyplot()
     columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(

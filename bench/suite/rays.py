@@ -71,7 +71,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one bar per program and number of threads. Return the finding."""
+    """Draw one bar per program and number of threads. Return the finding as text."""
     plt = figures.pyplot()
     casters = results["casters"]
     figure, axis = plt.subplots(figsize=(9.5, 0.62 * len(casters) + 1.7))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
 }  # fmt: skip
-# Series of the chart by name: parameter, its values, and title of the x axis.
+# Series of points in the scaling chart by name: varied parameter, its values, and title of the x axis.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
     "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
@@ -147,7 +147,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per series: times and memory, with fitted exponents. Return the finding."""
+    """Draw one panel per series: times and memory, with fitted exponents. Return the finding as text."""
     plt = figures.pyplot()
     columns = min(len(results), 4)
     rows = -(-len(results) // columns)

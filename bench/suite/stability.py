@@ -138,7 +138,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Regime of the height range: every series in float32 and in float64."""
+    """Return the panel of the height range: every series in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -174,7 +174,7 @@ def height_range(which: slice = ALL) -> Panel:
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Regime of the window width: 3 × 3 neighbours fail for short windows, fixed wavelengths for long windows."""
+    """Return the panel of the window width: 3 × 3 neighbours fail for short windows, fixed wavelengths for long windows."""
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
     for sigma in x.tolist():
@@ -190,7 +190,7 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Regime of the patch size: 3 × 3 coefficients are too few for large patches.
+    """Return the panel of the patch size: 3 × 3 coefficients are too few for large patches.
 
     Fixed wavelengths 5 nm apart miss orders of any patch.
     """
@@ -214,7 +214,7 @@ def tilted_up(directions: np.ndarray) -> np.ndarray:
 
 
 def order_rate(which: slice = ALL) -> Panel:
-    """Regime of the distance from the mirror direction.
+    """Return the panel of the distance from the mirror direction.
 
     Fixed wavelengths fail far from the mirror direction, and one point per order fails near it.
     """
@@ -233,7 +233,7 @@ def order_rate(which: slice = ALL) -> Panel:
 
 
 def grazing(which: slice = ALL) -> Panel:
-    """Regime of grazing light and view.
+    """Return the panel of grazing light and view.
 
     The sum 1 + ωi·ωr loses digits near the horizon, and the foreshortening of a source has no limit.
     """
@@ -277,7 +277,7 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """Regime of the sample spacing: no method detects aliased height samples, but resampling in advance helps."""
+    """Return the panel of the sample spacing: no method detects aliased height samples, but resampling in advance helps."""
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
     exact = sine_colour(period, depth, lights, views, sigma)
@@ -296,7 +296,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """Regime of replicas: a thousand periods, with phases between periods near whole turns."""
+    """Return the panel of replicas: a thousand periods, with phases between periods near whole turns."""
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
@@ -329,7 +329,7 @@ def periods(which: slice = ALL) -> Panel:
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
-    """Regime of wavelength steps: plain sums with equal steps, compared with the plan's quadrature."""
+    """Return the panel of wavelength steps: plain sums with equal steps, compared with the plan's quadrature."""
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
@@ -485,7 +485,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one chart. Return the finding."""
+    """Draw all panels in one chart. Return the finding as text."""
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

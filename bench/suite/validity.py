@@ -180,7 +180,7 @@ def rule(error: np.ndarray, bounds: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return the finding."""
+    """Draw the maps of the error. Return the finding as text."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()

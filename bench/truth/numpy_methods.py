@@ -122,8 +122,8 @@ def with_lateral(count, order_rate, seed=0):
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
-        # The tangential components of light and view lie in the unit disc. The light's component therefore lies in the
-        # intersection of the disc with its copy moved by −U.
+        # The tangential components of light and view lie in the unit disc, and their sum is fixed. The light's
+        # component therefore lies in the intersection of the disc with a copy that is moved by this sum.
         x = -order_rate / 2.0 + (1.0 - order_rate / 2.0) * rng.uniform(-1.0, 1.0)
         y = math.sqrt(1.0 - order_rate**2 / 4.0) * rng.uniform(-1.0, 1.0)
         if max(math.hypot(x, y), math.hypot(x + order_rate, y)) < 1.0 - 1e-4 * (2.0 - order_rate):

@@ -37,7 +37,7 @@ FEWEST_CELLS = 8
 MOST_CELLS = 1 << 19
 # Number of wavenumbers per look-up of coefficients. Limit: more wavenumbers have more coefficients in common.
 BLOCK = 128
-# Numbers of wavenumbers per evaluation of periods, and of patch samples per sum. Limit: memory.
+# Largest number of wavenumbers per evaluation of a replicated patch, and of height samples per sum. Limit: memory.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
 # Least Y that must converge, relative to a mirror. Limit: the truncation at nine widths leaves steps below this value,
@@ -192,7 +192,8 @@ class Coefficients:
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
-        # Distance of each coefficient from the path of the direction, in the metric of the exponent.
+        # Distance of each Fourier coefficient from the path of (u, v)/λ as λ changes, in the metric of the Gaussian's
+        # exponent.
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
@@ -269,7 +270,10 @@ class Replicas:
         return np.einsum("mk,mk->m", basis, at_nodes[panel])
 
     def _panels(self, scattering_vector, low, span):
-        """Return the mean over the patch at the Chebyshev nodes of equal panels in τ, shape (panels, nodes)."""
+        """Return the mean of exp(2πiτ(ux + vy + wh)) at Chebyshev nodes, shape (panels, nodes).
+
+        The nodes lie in panels of equal length in τ, from ``low`` on.
+        """
         argument = math.pi * span * (np.abs(scattering_vector) @ self.extent)
         panels = max(1, math.ceil(argument / 5.0))
         terms = chebyshev_terms(argument / panels)

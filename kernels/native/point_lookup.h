@@ -47,7 +47,7 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Compute the addresses of a point's rows. On the CPU, prefetch these rows if the point is illuminated.
+// Compute the addresses of the table rows of a point. On the CPU, prefetch these rows if the point is illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {

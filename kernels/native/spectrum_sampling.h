@@ -116,8 +116,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals under the splines of three consecutive rings. They remain in registers while the sampling proceeds from
-// ring to ring.
+// Integrals of the spectrum under the splines of three consecutive rings. They remain in registers while the sampling
+// proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
