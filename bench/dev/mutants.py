@@ -226,7 +226,7 @@ def table(records: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Test changes until all are done or the time limit is reached, and print the scores."""
+    """Test changes of the sources until all are done or the time limit is reached, and print the scores."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("commits", nargs="+", help="commits whose sources and tests are used")
     parser.add_argument("--seed", default="HEAD", help="commit whose hash determines the changes (default: HEAD)")

@@ -174,7 +174,10 @@ def height_range(which: slice = ALL) -> Panel:
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Return the panel of the window width: 3 × 3 neighbours fail for short windows, fixed wavelengths for long windows."""
+    """Return the panel of the window width.
+
+    3 × 3 neighbours fail for short windows, and fixed wavelengths fail for long windows.
+    """
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
     for sigma in x.tolist():
@@ -277,7 +280,10 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """Return the panel of the sample spacing: no method detects aliased height samples, but resampling in advance helps."""
+    """Return the panel of the sample spacing.
+
+    No method detects aliased height samples, but resampling in advance prevents the error.
+    """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
     exact = sine_colour(period, depth, lights, views, sigma)
