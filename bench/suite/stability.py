@@ -282,7 +282,7 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 def pitch(which: slice = ALL) -> Panel:
     """Return the panel of the sample spacing.
 
-    No method detects aliased height samples, but resampling in advance prevents the error.
+    No method detects aliasing by its height samples. Resampling to 0.02 µm in advance reduces the error.
     """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
