@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     Values = dict[str, Any]
     Case = Callable[[int], Values]
 
+# Numbers of threads with which each case is computed.
 THREADS = (1, 2)
 SIZE = {"width": 96, "height": 72}
 SMALL = {"width": 24, "height": 18}

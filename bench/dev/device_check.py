@@ -40,6 +40,7 @@ BESIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 NEAR = wd.PointLight((1.2, 1.4, 0.4), power=2.0)
 # Relative change of a direction or position. Derived: about the rounding error of float32.
 TURN = 2e-7
+# Reported quantiles of the differences between pictures.
 QUANTILES = (0.5, 0.99, 0.999)
 
 

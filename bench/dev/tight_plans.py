@@ -49,6 +49,7 @@ DIRECTIONS, PLANNED = 128, 40_000
 # Smallest cosine of random directions. Limit: 85° from the normal.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
+# Tolerances of configurations, and those of replicas, whose reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces

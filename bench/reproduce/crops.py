@@ -34,10 +34,12 @@ if TYPE_CHECKING:
 
 # Size of a crop, and width of the margin for the filter of its outermost pixels [pixels].
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
+# Size of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
 # Number of points along each axis of a pixel: of the reference, and of the coarser reference that checks its
 # convergence.
 POINTS, FEWER = 96, 64
+# Standard deviation and truncation of the pixel filter [pixels].
 DEVIATION, CUT = 0.5, 1.5
 # Tolerance of the reference's points, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0

@@ -25,6 +25,7 @@ from bench.truth.sky_sums import SkySums
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+# Angular diameters of the disc lights [degrees].
 DIAMETERS = (1.0, 5.0, 10.0, 20.0, 60.0)
 COLUMNS = (
     "| {} | body, surface | pixels | by | median | P90 | P99 | estimated | reported | frame |\n" + 10 * "| --- " + "|"
@@ -159,7 +160,7 @@ def _judge(
     for tolerance in tolerances:
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
-        took = time.perf_counter() - begin
+        seconds = time.perf_counter() - begin
         # All chosen pixels may be darker than the luminance to which the tolerance of the picture is relative.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
@@ -167,7 +168,7 @@ def _judge(
         reported = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
         print(
             f"| {name} | {len(exact)} | {tolerance:g}, {image.report.light_sample_count:,} | {percentiles(errors)} | "
-            f"{percentiles(expected, ' / ')} | {reported} | {took:.1f} s |", flush=True,
+            f"{percentiles(expected, ' / ')} | {reported} | {seconds:.1f} s |", flush=True,
         )  # fmt: skip
 
 

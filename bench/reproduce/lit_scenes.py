@@ -25,6 +25,7 @@ from bench.reproduce.lights import converged_means, distances, sky
 from bench.truth.sky_sums import SkySums
 
 SIZE = {"width": 240, "height": 130}
+# Direction to the disc lights.
 TOWARDS = (0.6, 1.0, -0.1)
 CASES = [
     *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
@@ -78,7 +79,9 @@ def many_lights(count: int) -> list[wd.DirectionalLight]:
     index = np.arange(count) + 0.5
     up, turn = 0.05 + 0.95 * index / count, index * np.pi * (3.0 - np.sqrt(5.0))
     level = np.sqrt(1.0 - up**2)
-    return [wd.DirectionalLight(each) for each in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)]
+    return [
+        wd.DirectionalLight(towards) for towards in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)
+    ]
 
 
 def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any], wd.View, dict[str, Any]]:
@@ -129,12 +132,12 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
     one = wd.Renderer(body, heightfield, wd.DirectionalLight(TOWARDS), view, **options)
     ratios = []
     for _ in range(3):
-        took = []
-        for each in (one, renderer):
+        seconds = []
+        for timed in (one, renderer):
             begin = time.process_time()
-            each.draw()
-            took.append(time.process_time() - begin)
-        ratios.append(took[1] / took[0])
+            timed.draw()
+            seconds.append(time.process_time() - begin)
+        ratios.append(seconds[1] / seconds[0])
     image = renderer.image()
     if name.endswith("lights"):
         fine = wd.Renderer(body, heightfield, lights[0], view, plan=replace(renderer.plan, tolerance=tolerance / 8.0),
@@ -145,18 +148,18 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
             total += fine.image().xyz
         places = np.argwhere(image.illuminated & (image.coverage > 0.999))
         exact = total[tuple(places.T)]
-        settled = np.ones(len(exact), dtype=bool)
+        converged = np.ones(len(exact), dtype=bool)
     else:
         light = SKIES[name]() if name in SKIES else lights[0]
-        places, exact, settled = reference(SkySums(body, heightfield, view, window), light, pixels, across, tolerance)
-    at = tuple(places[settled].T)
+        places, exact, converged = reference(SkySums(body, heightfield, view, window), light, pixels, across, tolerance)
+    at = tuple(places[converged].T)
     bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
-    errors = distances(image.xyz[at], exact[settled], bright) / tolerance
+    errors = distances(image.xyz[at], exact[converged], bright) / tolerance
     reported = image.error[at] / tolerance
     p50, p90, p99 = np.percentile(errors, [50.0, 90.0, 99.0])
-    share = image.xyz[at][:, 1].sum() / exact[settled][:, 1].sum()
+    share = image.xyz[at][:, 1].sum() / exact[converged][:, 1].sum()
     print(
-        f"| {case} | {settled.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
+        f"| {case} | {converged.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
         f"{share:.3f} | {np.count_nonzero(errors > 1.0)} | {np.count_nonzero(reported[errors > 1.0] > 1.0)} | "
         f"{np.mean(errors <= reported):.2f} |", flush=True,
     )  # fmt: skip

@@ -40,10 +40,12 @@ MORE_TERMS = (8, 16, 24, 32, 37, 48)
 # Largest neighbour extent by kind of coherence. Limit: beyond it the Gaussian's recurrence starts below the smallest
 # float32, and its tail is below rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
+# Number of settings with the fewest multiply-adds that are timed.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
 # Tolerance of the reference. Limit: small compared with the errors of the compared settings.
 TRUTH = 1e-3
+# Width of the frame [pixels], number of timed pixels, and number of timed rounds.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 

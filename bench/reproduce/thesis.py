@@ -46,6 +46,7 @@ GRID_DEG = 0.0025
 # Search range of the period, as a factor of the expected period. Limit: the second order would appear as half the
 # period.
 SOUGHT = 1.3
+# Period of the blazed grating, and expected period of the scan [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
 # Published periods by surface and kind of sum: means and variances over the wavelengths [nm, nm²].
 PUBLISHED = {

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
+# Random seed and number of the crops per body.
 SEED, CROPS = 90, 4
 # Tolerance of the plans for point samples and for the reference. Derived: half of the smallest tolerance of frames.
 TABLE = 1e-2

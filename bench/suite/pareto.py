@@ -36,8 +36,10 @@ if TYPE_CHECKING:
 
 # Number of directions whose error is measured; a quarter of them with ``--quick``. Limit: time of the reference.
 JUDGED = 300
+# Duration of a timed call [s], and its least number of pixels.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+# Numbers of frames over which the preparation time is distributed.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Methods of warpdiff by kind of coherence.

@@ -38,6 +38,7 @@ CASES = {
 # Standard deviation of the heights of each profile, relative to the depth from peak to valley.
 RMS = {"sine": 1.0 / math.sqrt(8.0), "square": 0.5, "sawtooth": 1.0 / math.sqrt(12.0)}
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
+# Angles of incidence [degrees].
 ANGLES = (0.0, 30.0, 60.0)
 # Periods and depths [wavelengths]. With these end points no order lies within 4° of the horizon, neither in air nor in
 # glass. Rigorous efficiencies jump there (Rayleigh anomalies).
@@ -49,6 +50,7 @@ SAMPLES = 2048
 UNIT = 1e-5
 # Largest error of an order that counts as correct, as a share of the reflected power.
 LIMIT = 0.1
+# Errors at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
 DENSE = np.geomspace(1e-3, 3.0, 400)
 # Wavelength [nm], to which periods and depths are relative. Limit: the spectral range of the solver's material files.

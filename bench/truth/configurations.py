@@ -30,6 +30,7 @@ MATERIALS = (
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
     wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0),
 )  # fmt: skip
+# Sizes of grids of directions, of reflectance maps and of frames.
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
