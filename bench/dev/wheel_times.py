@@ -128,7 +128,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # Each call makes a new height field, because nothing is cached for it.
+        # Each call makes a new height field, because results are cached for a height field that was used before.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options

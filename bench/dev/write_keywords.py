@@ -32,7 +32,7 @@ class _WithoutRanges(ast.NodeTransformer):
     """Syntax tree transformer that replaces ``Annotated[T, …]`` by ``T``."""
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
-        """Replace one subscript expression."""
+        """Replace one expression ``Annotated[T, …]`` by ``T``."""
         self.generic_visit(node)
         if ast.unparse(node.value) == "Annotated" and isinstance(node.slice, ast.Tuple):
             return node.slice.elts[0]

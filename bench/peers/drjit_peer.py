@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of floats that are loaded at a time. Limit: registers.
+# Number of coefficients of a series that are loaded at a time. Limit: registers.
 PACKET = 8
 # Number of floats per cache line. Derived: 64 bytes.
 LINE = 16

@@ -175,7 +175,7 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # The length of a line is in nm, like the steps of the colour products.
+                # The weight of an order in the integral over λ is in nm, like the steps of the colour products.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

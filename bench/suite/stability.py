@@ -54,7 +54,7 @@ FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """One regime: title, axis and curves of its panel.
+    """Panel of one regime in the stability chart.
 
     Attributes:
         title: Title of the panel.
@@ -94,7 +94,7 @@ class Points:
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Evaluate the automatic choice at the present point, and set its error."""
+        """Evaluate the library's automatic choice at the present point of the x axis, and add its error."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:

@@ -207,7 +207,7 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         values, to_series = values @ functions, functions.T @ to_series
 
     def basis(kappa):
-        # Rounding may move points at the ends of the range beyond it.
+        # Rounding may move values of κ at the ends of the interpolation range beyond it, so that they are clipped.
         position = np.clip((kappa - middle) / half, -1.0, 1.0)
         chebyshev = np.polynomial.chebyshev.chebvander(position, count - 1)
         return (chebyshev @ to_series.T).astype(dtype)

@@ -313,8 +313,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // Directions of the edges opposite to the triangle's three corners. The diagonal between two triangles has
-        // opposite directions in them.
+        // For the edges opposite to the triangle's three corners, `rises` states whether the edge runs from the smaller
+        // vertex index to the larger one. The diagonal between two triangles has opposite values in them.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;
