@@ -10,5 +10,5 @@
 
 import os
 
-# Threads that spin between calls would slow down other methods.
+# OpenMP threads sleep between calls. Threads that wait actively would slow down the other methods.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")

@@ -1,4 +1,7 @@
-"""``python -m bench``: chart speed against accuracy, compared with other programs; run from a checkout."""
+"""Command ``python -m bench``: charts of speed against accuracy, compared with other programs.
+
+Run it from a checkout.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +22,19 @@ EXAMPLES = """examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the charts, or compare two runs; returns the exit code."""
+    """Draw the charts, or compare two runs. Return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m bench", description="Chart speed against accuracy, compared with other programs.",
         epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("-o", "--output", default="bench_results", metavar="FOLDER", help="(default: bench_results)")
-    parser.add_argument("--quick", action="store_true", help="every figure in two minutes, with few points")
-    parser.add_argument("--filter", nargs="+", metavar="PART", help=f"only some parts: {' '.join(runner.PARTS)}")
-    parser.add_argument("--peer", metavar="MODULE:FUNCTION", help="a method of yours, see bench.suite.runner.user_peer")
+    parser.add_argument("--quick", action="store_true", help="draw all charts in two minutes, with few points")
+    parser.add_argument("--filter", nargs="+", metavar="PART", help=f"run only these parts: {' '.join(runner.PARTS)}")
+    parser.add_argument(
+        "--peer", metavar="MODULE:FUNCTION", help="add your own method, see bench.suite.runner.user_peer"
+    )
     parser.add_argument("--data", type=Path, metavar="FOLDER", help=inputs.HELP)
-    parser.add_argument("--device", help="cpu (default) or cuda")
+    parser.add_argument("--device", help="device: cpu (default) or cuda")
     parser.add_argument("--threads", type=int, help="CPU threads, also of peers (default: one per core)")
     parser.add_argument(
         "--compare", type=Path, nargs=2, metavar=("OLD", "NEW"),

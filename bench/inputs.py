@@ -1,4 +1,4 @@
-"""Folder of the real inputs: ``--data``, ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout."""
+"""Location of the folder of real inputs: the option ``--data``, ``WARPDIFF_DATA``, or ``../shared/data``."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import warpdiff as wd
 from warpdiff.apps.demo import data_folder
 from warpdiff.datasets.download import read
 
-HELP = "folder with the scan; default WARPDIFF_DATA or ../shared/data next to a checkout"
+HELP = "folder with the scan (default: WARPDIFF_DATA or ../shared/data next to a checkout)"
 
 
 def folder(data: str | Path | None = None) -> Path:
-    """Return the folder of the real inputs, which need not exist."""
+    """Return the folder of the real inputs. The folder may be missing."""
     return data_folder(data) or Path("shared", "data")
 
 
 def scan(data: str | Path | None = None) -> wd.HeightField | None:
-    """Return the 65 µm scan of a corn snake's skin as measured, or None if it is absent."""
+    """Return the unprocessed 65 µm scan of a corn snake's skin, or None if the file is absent."""
     dataset = wd.datasets.info("corn_snake_scan")
     path = folder(data) / dataset.local_name
     return read(dataset, path) if path.is_file() else None
 
 
 def levelled_scan(data: str | Path | None = None) -> wd.HeightField | None:
-    """Return the same scan levelled, or None if it is absent."""
+    """Return the levelled 65 µm scan of a corn snake's skin, or None if the file is absent."""
     heightfield = scan(data)
     return None if heightfield is None else heightfield.levelled(order=2)

@@ -1,1 +1,1 @@
-"""Tools for the maintainers: whether a change leaves every result and every time the same."""
+"""Tools for maintainers, which check whether a change of the code affects results or computing times."""

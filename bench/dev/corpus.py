@@ -1,17 +1,18 @@
-"""Reference arrays: whether a change of the code leaves pictures, tables, files and plans equal to the bit.
+"""Reference arrays, which show whether a change of the code leaves all results identical to the bit.
 
 ::
 
     python -m bench.dev.corpus --write before.npz
     python -m bench.dev.corpus --compare before.npz
 
-The script uses public names only, and imports the package that this Python has installed: with the wheel of another
-version it writes that version's reference. ``public_names`` maps names that have changed since.
+The script uses only public names, and imports the package that is installed for this Python. With the wheel of another
+version it therefore writes the reference of that version. ``public_names`` maps names that have changed since version
+0.1.0.
 
-The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, views and files, on one
-thread and on two. The numbers of each plan are among the values; texts are not, except for names. Surfaces are small
-and synthetic. Another processor or another version of a library may round differently: write and compare on one
-machine, in environments with the same versions of all libraries.
+The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, views and files, with one
+thread and with two. The values include the numbers of each plan, but no texts except names. Surfaces are small and
+synthetic. Other processors or other versions of a library may round differently. Write and compare on the same machine,
+in environments with the same versions of all libraries.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     Values = dict[str, Any]
     Case = Callable[[int], Values]
 
+# Numbers of threads with which each case is computed.
 THREADS = (1, 2)
 SIZE = {"width": 96, "height": 72}
 SMALL = {"width": 24, "height": 18}
@@ -52,7 +54,7 @@ ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 SIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 WAVELENGTHS_NM = np.linspace(400.0, 700.0, 7)
-# Methods that are sampled at wavelengths without a table.
+# Methods that can sum over wavelength samples instead of using a colour table.
 SAMPLED_METHODS = ("low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
 IMAGE_ARRAYS = ("xyz", "mask", "illuminated", "coverage", "error")
 SUMMARY_NUMBERS = (
@@ -64,21 +66,21 @@ PERIOD_NUMBERS = (
 )  # fmt: skip
 
 
-# Surfaces, bodies, cameras and lights.
+# Surfaces, bodies, cameras and lights that the cases use.
 
 
 def fingers() -> Any:
-    """A new height field at each call, without anything cached for it."""
+    """Return a new height field of fingers. Nothing is cached for it."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 
 def tube() -> trimesh.Trimesh:
-    """A tube with few faces."""
+    """Return a tube with few faces."""
     return wd.meshes.tube(segments_along=48, segments_around=24)
 
 
 def box() -> trimesh.Trimesh:
-    """A box with a texture of colours, which shows three sides to the camera."""
+    """Return a box with a colour texture. Three of its sides are visible from the camera of ``box_view``."""
     rng = np.random.default_rng(7)
     texture = Pixels.fromarray(rng.integers(0, 255, (16, 16, 3), dtype=np.uint8))
     body = trimesh.creation.box((1.0, 1.0, 1.0))
@@ -91,10 +93,14 @@ def box() -> trimesh.Trimesh:
 
 
 def two_geometries() -> trimesh.Scene:
-    """A tube of one base colour and a box with a texture next to it, by the names "tube" and "box"."""
+    """Return a scene of a tube with a single base colour and a textured box.
+
+    The geometries are named "tube" and "box".
+    """
     scene = trimesh.Scene()
     body = tube()
-    # Without it, trimesh writes a texture to GLB, and the package reads at most one.
+    # The explicit base colour keeps trimesh from writing a second texture to GLB. The package reads at most one
+    # texture.
     body.visual.material = trimesh.visual.material.PBRMaterial(baseColorFactor=(200, 120, 40, 255))
     scene.add_geometry(body, node_name="tube", geom_name="tube")
     at = trimesh.transformations.translation_matrix((0.0, 0.0, 0.9)) @ np.diag([0.5, 0.5, 0.5, 1.0])
@@ -103,17 +109,20 @@ def two_geometries() -> trimesh.Scene:
 
 
 def tube_view(**size: int) -> Any:
-    """A view of the tube."""
+    """Return a perspective view of the tube."""
     return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, **(size or SIZE))
 
 
 def box_view(**size: int) -> Any:
-    """A view of the box by parallel rays."""
+    """Return an orthographic view of the box."""
     return wd.View.orthographic((1.2, 1.0, 1.6), (0.0, 0.0, 0.0), extent_y=2.2, **(size or SIZE))
 
 
 def radiances(*, with_sun: bool) -> np.ndarray:
-    """A bluish sky over a brown ground, shape (32, 64, 3); one pixel of it is a sun if asked for."""
+    """Return an environment map of a bluish sky above brown ground, shape (32, 64, 3).
+
+    With ``with_sun``, one pixel is a sun.
+    """
     rng = np.random.default_rng(11)
     up = np.linspace(1.0, -1.0, 32)[:, None, None]
     sky = np.array([0.3, 0.5, 0.9]) * (1.0 + up) + 0.2 * rng.random((32, 64, 3))
@@ -125,7 +134,7 @@ def radiances(*, with_sun: bool) -> np.ndarray:
 
 
 def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Light and view directions all over the hemisphere."""
+    """Return random light and view directions on the upper hemisphere."""
     rng = np.random.default_rng(count)
     vectors = rng.normal(size=(2, count, 3))
     vectors[..., 2] = np.abs(vectors[..., 2]) + 0.1
@@ -133,48 +142,48 @@ def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def coated_metal() -> Any:
-    """Aluminium under a film of glass."""
+    """Return the material of aluminium with a 300 nm film of glass."""
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# Values of a result that are compared.
+# Functions that collect the compared values from results of the package.
 
 
 def image_values(image: Any) -> Values:
-    """Arrays and layers of a picture, and the numbers of its plan and of its report."""
+    """Return the arrays and layers of a picture, with the numbers of its plan and of its report."""
     return map_values(image) | plan_values(image.plan, getattr(image, "report", None))
 
 
 def map_values(image: Any) -> Values:
-    """Arrays of a picture or a map, and the numbers of its plan."""
+    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 
 
 def plan_values(plan: Any, report: Any = None) -> Values:
-    """The numbers of a plan and of a picture's report."""
+    """Return the numbers of a plan and of a picture's report."""
     numbers = plan_numbers(plan, report)
     return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 
 
 def named(prefix: str, values: Values) -> Values:
-    """The same values under longer names."""
+    """Return the same values with a prefix added to their names."""
     return {f"{prefix}.{name}": value for name, value in values.items()}
 
 
 def attributes(owner: Any, names: tuple[str, ...]) -> Values:
-    """Attributes of an object."""
+    """Return the values of the named attributes of an object."""
     return {name: getattr(owner, name) for name in names}
 
 
 def archive_values(path: Path) -> Values:
-    """Arrays of a .npz file that the package wrote."""
+    """Return the arrays of a .npz file that the package wrote."""
     with np.load(path) as archive:
         return dict(archive)
 
 
 def pixel_values(path: Path) -> Values:
-    """Pixels and channel names of a .png or .exr file that the package wrote."""
+    """Return the pixels and channel names of a .png or .exr file that the package wrote."""
     import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     file = oiio.ImageInput.open(str(path))
@@ -189,12 +198,14 @@ def pixel_values(path: Path) -> Values:
 
 
 def page_values(path: Path) -> Values:
-    """The packed arrays of an exported page, and all numbers of its header in their order, without names and texts."""
+    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
     page = path.read_text(encoding="utf-8")
     header = re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
     data = re.search(r'<script type="text/plain"[^>]*>([A-Za-z0-9+/=\s]{1000,})</script>', page)
     if header is None or data is None:
-        raise ValueError(f"{path.name} must hold a JSON header and a script of base64 data, and lacks one of them")
+        raise ValueError(
+            f"{path.name} must contain a JSON header and a script of base64 data, but one of them is missing"
+        )
     packed = np.frombuffer(zlib.decompress(base64.b64decode(data[1])), dtype=np.uint8)
     return {"packed": packed, "header": np.array(_numbers_in(json.loads(header[1])))}
 
@@ -207,32 +218,32 @@ def _numbers_in(value: Any) -> list[float]:
     return [float(value)] if isinstance(value, (int, float)) else []
 
 
-# Pictures.
+# Cases that draw pictures.
 
 
 def picture(
     body: Callable[[], Any], surface: Callable[[], Any], view: Any, lights: Any = ABOVE, **options: Any
 ) -> Case:
-    """A case that draws a surface on a body."""
+    """Return a case that renders a height field on a body."""
     return lambda threads: image_values(
         wd.shade(body(), lights=lights, heightfield=surface(), view=view, threads=threads, **options)
     )
 
 
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
-    """A case that draws fingers on the tube."""
+    """Return a case that renders the surface of fingers on the tube."""
     return picture(tube, fingers, view or tube_view(), lights, **options)
 
 
 def sampled_picture(method: str) -> Case:
-    """A case that draws a small picture by a method that samples wavelengths."""
+    """Return a case that renders a small picture by a method that samples wavelengths."""
     return tube_picture(
         method=method, integration="sampled", refine=False, footprint=False, view=tube_view(**SMALL), tolerance=3e-2
     )
 
 
 def explicit_tangents(threads: int) -> Values:
-    """A sphere without texture coordinates, a perfect mirror, no masking."""
+    """Render a sphere with explicit tangents and no texture coordinates, as a perfect mirror without masking."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     tangents = np.cross([0.0, 1.0, 0.0], ball.vertices + np.array([1e-3, 0.0, 0.0]))
     view = wd.View((0.0, 0.5, 4.0), (0.0, 0.0, 0.0), **SIZE)
@@ -242,7 +253,7 @@ def explicit_tangents(threads: int) -> Values:
 
 
 def explicit_plan(threads: int) -> Values:
-    """A plan that was made before, with one field changed."""
+    """Render with an explicit plan that has one changed field."""
     surface = fingers()
     plan = wd.plan(heightfield=surface, tolerance=3e-2, threads=threads)
     changed = dataclasses.replace(plan, terms=plan.terms + 2)
@@ -250,12 +261,12 @@ def explicit_plan(threads: int) -> Values:
 
 
 def disc_view(**size: int) -> Any:
-    """A view of the disc, in which orders of a grating on it are visible."""
+    """Return a view of the disc in which diffraction orders of its grating are visible."""
     return wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **(size or SIZE))
 
 
 def successive_pictures(threads: int) -> Values:
-    """Two pictures of one renderer; lights and view change."""
+    """Render two pictures with one renderer, under different lights and views."""
     options = {"lights": ABOVE, "view": tube_view(), "tolerance": 3e-2, "threads": threads}
     renderer = wd.Renderer(tube(), heightfield=fingers(), **options)
     first = image_values(renderer.image())
@@ -265,7 +276,7 @@ def successive_pictures(threads: int) -> Values:
 
 
 def previews(threads: int) -> Values:
-    """Pictures that a renderer completes on the way to its tolerance, and the last one."""
+    """Collect the previews that a renderer completes at larger tolerances, and its final picture."""
     renderer = wd.Renderer(tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=2e-2, threads=threads)
     completed: Values = {}
 
@@ -277,16 +288,16 @@ def previews(threads: int) -> Values:
 
 
 def resized_renderer(threads: int) -> Values:
-    """A smaller picture by the plan and the tables of a larger one."""
+    """Render a smaller picture with the plan and the tables of a larger one."""
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], tube_view(), tolerance=1e-1, refine=False, threads=threads)
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 
 
-# Lights.
+# Cases with environment lights.
 
 
 def sky_picture(*, with_sun: bool, **options: Any) -> Case:
-    """A case that draws the tube under a sky, with its background."""
+    """Return a case that renders the tube under a sky, with the sky as background."""
 
     def draw(threads: int) -> Values:
         sky = wd.Environment(radiances(with_sun=with_sun), rotation_deg=30.0, scale=0.7, directions=100)
@@ -298,7 +309,7 @@ def sky_picture(*, with_sun: bool, **options: Any) -> Case:
 
 
 def loaded_sky(threads: int) -> Values:
-    """A sky from a file, with as many directions as the tolerance asks for."""
+    """Render the box under a sky from an EXR file. The tolerance determines the number of sky directions."""
     import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
 
     with tempfile.TemporaryDirectory() as folder:
@@ -312,11 +323,11 @@ def loaded_sky(threads: int) -> Values:
     return image_values(wd.shade(box(), fingers(), sky, view, tolerance=0.3, refine=False, threads=threads))
 
 
-# Materials and energy.
+# Cases with materials and with normalised energy.
 
 
 def materials_by_geometry(threads: int) -> Values:
-    """A coated metal and a dielectric, each on its geometry, under lights of two spectra."""
+    """Render a coated metal and a dielectric on two geometries, under lights with different spectra."""
     materials = {"tube": coated_metal(), "box": wd.Material.dielectric(1.7)}
     lights = [ABOVE, wd.DirectionalLight((1.0, 1.0, 0.5), illuminant=wd.Spectrum.blackbody(2900.0))]
     image = wd.shade(
@@ -327,7 +338,7 @@ def materials_by_geometry(threads: int) -> Values:
 
 
 def normalised_energy(threads: int) -> Values:
-    """Normalised energy in absolute spectra, colours and maps, of a mirror and of a metal."""
+    """Compute spectra, colours and a map with normalised energy, for a perfect mirror and a metal."""
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")
     surface = fingers()
@@ -340,11 +351,11 @@ def normalised_energy(threads: int) -> Values:
     }
 
 
-# Arrays of directions.
+# Cases that compute colours or spectra of arrays of directions.
 
 
 def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
-    """A case that computes the colours of a list of directions."""
+    """Return a case that computes the colours of ``count`` random directions."""
     return lambda threads: {
         "xyz": wd.reflectance(
             heightfield=fingers(), to_light=directions(count)[0], to_view=directions(count)[1], coherence=coherence,
@@ -354,7 +365,7 @@ def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
 
 
 def spectra(threads: int) -> Values:
-    """Relative and absolute spectra of all kinds of coherence, and efficiencies of a grating's orders."""
+    """Compute relative and absolute spectra for all kinds of coherence, and the order efficiencies of a grating."""
     coherences = (wd.Coherence(), wd.Coherence("centred"), SOURCE, wd.Coherence("replicas", periods=(2, 2)))
     values: Values = {}
     for coherence in coherences:
@@ -368,7 +379,7 @@ def spectra(threads: int) -> Values:
 
 
 def orders(_: int) -> Values:
-    """Orders of gratings of a metal, a coated metal and a perfect mirror, with both forms of energy."""
+    """Compute the orders of gratings made of a metal, a coated metal and a perfect mirror, with both energy options."""
     names = ("wavelengths_nm", "orders", "to_view", "efficiencies")
     light = (0.3, 0.1, 1.0)
     calls = {
@@ -384,7 +395,7 @@ def orders(_: int) -> Values:
 
 
 def maps(threads: int) -> Values:
-    """Reflectance over all view directions, by one and by four directions per pixel."""
+    """Compute reflectance maps over all view directions, with one and with four directions per pixel."""
     surface = wd.gratings.bumps()
     one, four = (
         wd.reflectance_map(
@@ -396,7 +407,7 @@ def maps(threads: int) -> Values:
 
 
 def material_colours(threads: int) -> Values:
-    """Colours and spectra of a coated metal under a black body and daylight."""
+    """Compute colours and spectra of a coated metal under a black body and under daylight."""
     lights, views = directions(60)
     material = coated_metal()
     options: Values = {"material": material, "threads": threads}
@@ -409,11 +420,11 @@ def material_colours(threads: int) -> Values:
     }
 
 
-# Height fields.
+# Cases that process height fields.
 
 
 def surfaces(_: int) -> Values:
-    """Synthetic heights, heights after all ways of cleaning, summaries, and a plan."""
+    """Collect synthetic height fields, the results of all cleaning methods, a summary and a plan."""
     rng = np.random.default_rng(3)
     fields = {
         "fingers": fingers(), "bumps": wd.gratings.bumps(), "blazed": wd.gratings.blazed(2.0, 0.3),
@@ -431,7 +442,7 @@ def surfaces(_: int) -> Values:
 
 
 def repeats(_: int) -> Values:
-    """Periods of a noisy crossed grating with a gap, and the part of it that holds whole periods."""
+    """Find the periods of a noisy crossed grating with a gap, and crop it to whole periods."""
     rng = np.random.default_rng(17)
     y, x = np.mgrid[:160, :200] * 0.1
     heights = 0.2 * np.cos(2.0 * np.pi * x / 2.3) + 0.1 * np.cos(2.0 * np.pi * (y + 0.2 * x) / 3.1)
@@ -445,7 +456,7 @@ def repeats(_: int) -> Values:
 
 
 def height_files(_: int) -> Values:
-    """Height fields from 8-bit and 16-bit images, TIFF in floating point, and .npy with a gap."""
+    """Load height fields from 8-bit and 16-bit images, a floating-point TIFF, and a .npy file with a gap."""
     rng = np.random.default_rng(23)
     heights = rng.random((24, 24)).astype(np.float32)
     gaps = heights.astype(np.float64)
@@ -469,11 +480,11 @@ def height_files(_: int) -> Values:
     return values
 
 
-# Files: meshes, pictures, baked tables, pages, sequences.
+# Cases that write and read files: meshes, pictures, baked tables, web pages and sequences.
 
 
 def mesh_files(threads: int) -> Values:
-    """Pictures of meshes from OBJ with a texture, PLY with vertex colours, and GLB with two geometries."""
+    """Render meshes from three files: OBJ with a texture, PLY with vertex colours, and GLB with two geometries."""
     values: Values = {}
     options: Values = {"tolerance": 1e-1, "refine": False, "threads": threads}
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.8)
@@ -501,7 +512,7 @@ def mesh_files(threads: int) -> Values:
 
 
 def saved_pictures(threads: int) -> Values:
-    """Pixels of PNG and EXR files of one picture, and its display values, for all displays and gamuts."""
+    """Collect the pixels of PNG and EXR files of one picture, and its display values for all displays and gamuts."""
     layers = ("normal", "depth", "geometry")
     image = wd.shade(
         tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=1e-1, layers=layers, pigment=0.0, threads=threads
@@ -525,7 +536,7 @@ def saved_pictures(threads: int) -> Values:
 
 
 def baked_lobes(threads: int) -> Values:
-    """Lobes of an averaged window, and of a source on a metal: their files, and their colours."""
+    """Bake lobes for an averaged window and for a light source on a metal, and collect their files and colours."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4)
     lights, views = directions(200)
     calls: dict[str, Values] = {
@@ -549,7 +560,7 @@ def baked_lobes(threads: int) -> Values:
 
 
 def baked_spectrum(threads: int) -> Values:
-    """The file of a baked spectrum."""
+    """Bake a spectrum and collect the arrays of its file."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4)
     coherence = wd.Coherence(sigma_um=4.0)
     table = wd.bake_spectrum(heightfield=surface, size=32, tolerance=3e-2, coherence=coherence, threads=threads)
@@ -558,7 +569,7 @@ def baked_spectrum(threads: int) -> Values:
 
 
 def pages(threads: int) -> Values:
-    """The data of two exported pages: the box with its texture, and the tube under a point light."""
+    """Export two web pages and collect their data: the textured box, and the tube under a point light."""
     lobes = wd.bake(
         wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4), coherence=wd.Coherence(sigma_um=4.0), delta_e=8.0,
         threads=threads,
@@ -576,7 +587,7 @@ def pages(threads: int) -> Values:
 
 
 def sequences(threads: int) -> Values:
-    """Frames of a turntable, a light sweep and a camera path: their shots, and the pixels of their files."""
+    """Render sequences with a turntable, a light sweep and a camera path, and collect their shots and pixels."""
     view = tube_view(**MEDIUM)
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], view, tolerance=1e-1, refine=False, threads=threads)
     path_text = "eye_x,eye_y,eye_z,target_x,target_y,target_z,fov_y_deg\n0,1.6,3.1,0,0,0,27\n0.5,1.2,3,0.1,0,0,30\n"
@@ -620,12 +631,12 @@ CASES: dict[str, Case] = {
     "sampled footprints": tube_picture(
         method="low-rank", integration="sampled", view=tube_view(**SMALL), tolerance=1e-1
     ),
-    # Texture, two lights, shadows, scales that overlap, and all layers.
+    # The snake has a texture, two lights, shadows, overlapping scales and all layers.
     "snake": picture(
         wd.meshes.snake, fingers, wd.View((0.5, 1.1, 1.2), (0.1, 0.0, 0.2), fov_y_deg=20.0, **SIZE), [ABOVE, SIDE],
         layers=("normal", "depth", "geometry"), tolerance=3e-2,
     ),
-    # Facets and a texture, under parallel camera rays.
+    # The box has facets and a texture, and an orthographic camera.
     "box": picture(
         box, lambda: wd.gratings.disc("CD", tracks=4, length_um=12.8, pitch_um=0.09), box_view(),
         wd.DirectionalLight((0.5, 1.0, 1.5), illuminant="FL11"), smooth=False, pigment=300.0, samples_per_pixel=4,
@@ -635,7 +646,7 @@ CASES: dict[str, Case] = {
     "many directions": direction_colours(40_000, wd.Coherence(), illuminant="FL2", tolerance=3e-2),
     "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2), "spectra": spectra,
     "maps": maps, "surfaces": surfaces,
-    # Added with version 0.2.
+    # The following cases test features that were added in version 0.2.
     "explicit plan": explicit_plan, "previews": previews, "resized renderer": resized_renderer,
     "point light": picture(
         two_geometries, fingers, tube_view(), [wd.PointLight((1.2, 1.4, 0.4), power=2.0, illuminant="FL2"), SIDE],
@@ -664,11 +675,14 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-# Writing and comparing.
+# Functions that write the values of all cases and compare them.
 
 
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """All values of some cases, by case, number of threads and name, and one line per case that failed."""
+    """Compute all values of the named cases.
+
+    Keys are case, number of threads and value. The second result has one line per failed case.
+    """
     values: dict[str, np.ndarray] = {}
     failures = []
     for name in names:
@@ -691,7 +705,7 @@ def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
 
 
 def digest(values: dict[str, np.ndarray]) -> str:
-    """A hash of names, types, shapes and bits."""
+    """Return a hash of the names, types, shapes and bits of all values."""
     result = hashlib.sha256()
     for name, value in sorted(values.items()):
         result.update(f"{name} {value.dtype} {value.shape} ".encode())
@@ -700,7 +714,7 @@ def digest(values: dict[str, np.ndarray]) -> str:
 
 
 def differences(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> list[str]:
-    """One line per value that is not equal to the bit."""
+    """Return one line per value that differs in at least one bit."""
     lines = [f"{name}: only {'new' if name in new else 'old'}" for name in sorted(set(old) ^ set(new))]
     for name in sorted(set(old) & set(new)):
         a, b = old[name], new[name]
@@ -722,14 +736,14 @@ def _difference(a: np.ndarray, b: np.ndarray) -> str:
 
 
 def main() -> int:
-    """Write values, or compare with written ones; returns 1 if any value differs or any case fails."""
+    """Write the values, or compare them with a written reference. Return 1 if a value differs or a case fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
-    action.add_argument("--write", type=Path, metavar="FILE", help="write a reference, a .npz file")
-    action.add_argument("--compare", type=Path, metavar="FILE", help="compare with a reference that was written before")
-    parser.add_argument("--only", nargs="+", metavar="CASE", choices=list(CASES), help="compute these cases alone")
+    action.add_argument("--write", type=Path, metavar="FILE", help="write the reference to this .npz file")
+    action.add_argument("--compare", type=Path, metavar="FILE", help="compare with the reference in this .npz file")
+    parser.add_argument("--only", nargs="+", metavar="CASE", choices=list(CASES), help="compute only these cases")
     options = parser.parse_args()
-    # Nothing that another version left on disk may be read.
+    # Caches on disk are disabled, because another version may have written them.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     folder = Path(wd.__file__).parent

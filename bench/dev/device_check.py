@@ -1,14 +1,14 @@
-"""Frame times on two devices, and whether both draw the same pictures.
+"""Comparison of two devices: frame times, and differences between their pictures.
 
 ::
 
     python -m bench.dev.device_check --device cuda --output check.json
     python -m bench.dev.device_check --device cpu --times 0
 
-Frames are 640 × 480; light and view move from one to the next. Pictures cover all kinds of light and coherence. Both
-devices draw with one plan. A device rounds in its own way, and may subdivide another pixel than the other device does;
-so the CPU draws the picture once more with the light turned by 2e-7, about the rounding of its direction. The
-difference between two devices is to be compared with the difference that this turn makes.
+Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The pictures cover all kinds of
+light and coherence, and both devices use the same plan. Devices round differently, so that they may subdivide different
+pixels. The CPU therefore renders a third picture with the light rotated by 2e-7, which is about the rounding error of a
+direction. The difference between the devices should be about as large as the difference that this rotation causes.
 """
 
 from __future__ import annotations
@@ -38,18 +38,19 @@ WAYS: dict[str, dict[str, Any]] = {
 ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 BESIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 NEAR = wd.PointLight((1.2, 1.4, 0.4), power=2.0)
-# Relative change of a direction or position, about its float32 rounding.
+# Relative change of a direction or position. Derived: about the rounding error of float32.
 TURN = 2e-7
+# Reported quantiles of the differences between pictures.
 QUANTILES = (0.5, 0.99, 0.999)
 
 
 def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **options: Any) -> dict[str, float]:
-    """Milliseconds of a frame: the first one with its plan and tables, the median and the longest of the others."""
+    """Return frame times [ms]: the first with plan and tables, and median and maximum of the later ones."""
     seconds = []
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU draws while the host goes on.
+        # A GPU works asynchronously, so that the time includes the wait until the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)
@@ -59,7 +60,7 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
 
 
 def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any], dict[str, Any]]]:
-    """Bodies, surfaces, lights and options of pictures, by what they show."""
+    """Return body, surface, lights and options of each compared picture, by its name."""
     tube, fingers = wd.meshes.tube(), wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
     scan = inputs.levelled_scan(data)
     coarse: dict[str, Any] = {"tolerance": 1e-1}
@@ -80,17 +81,20 @@ def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any]
 
 
 def turned(light: Any) -> Any:
-    """The light, turned or moved by about the rounding of its direction."""
+    """Return the light with its direction or position changed by about its rounding error."""
     name = "position" if isinstance(light, wd.PointLight) else "to_light"
     return replace(light, **{name: tuple(np.array(getattr(light, name)) * (1.0 + TURN * np.array([1.0, -1.0, 0.0])))})
 
 
 def picture_differences(case: Any, device: str) -> dict[str, Any]:
-    """Relative differences of the device's picture, and of one under turned lights, from the CPU's picture."""
+    """Return quantiles of the relative differences from the CPU's picture.
+
+    The compared pictures are that of the device, and one by the CPU under rotated lights.
+    """
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # Options that a plan does not hold.
+    # Options that are not part of a plan must be passed separately.
     unplanned = {
         name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
     }
@@ -103,17 +107,19 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
         both = on_cpu.mask & image.mask
         differences = relative(image.xyz[both].astype(np.float64), on_cpu.xyz[both].astype(np.float64))
         result[name] = [float(value) for value in np.quantile(differences, QUANTILES)]
-        result[f"{name}: pixels one alone shows"] = int(np.sum(on_cpu.mask != image.mask))
+        result[f"{name}: pixels covered in one picture only"] = int(np.sum(on_cpu.mask != image.mask))
     return result
 
 
 def main() -> None:
-    """Print times and differences, and write them."""
+    """Print times and differences, and write them to a file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--device", default="cuda", help="device that is compared with the CPU (cuda)")
-    parser.add_argument("--times", type=int, default=15, help="timed frames per subject; the CPU draws a fifth (15)")
+    parser.add_argument("--device", default="cuda", help="device to compare with the CPU (default: cuda)")
+    parser.add_argument(
+        "--times", type=int, default=15, help="timed frames per body; the CPU renders a fifth (default: 15)"
+    )
     parser.add_argument("--data", metavar="FOLDER", help=inputs.HELP)
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write all numbers, a .json file")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write all numbers to this .json file")
     options = parser.parse_args()
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -130,7 +136,7 @@ def main() -> None:
     bodies, surface = crops.bodies(options.data), wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=5)
     for body in SUBJECTS if options.times else ():
         if body not in bodies:
-            print(f"Times exclude the {body}, which is not in the data.")
+            print(f"No times of the {body}: its mesh is not in the data folder.")
             continue
         mesh = bodies[body]()
         for way, settings in WAYS.items():

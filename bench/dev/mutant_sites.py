@@ -1,4 +1,4 @@
-"""One-token changes of Python sources, two hand-made faults of each C++ header, and their draw for a mutation run."""
+"""Possible faults for a mutation run: one-token changes of Python sources, and two manual faults per C++ header."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-# Packages that are changed, and their folders below the root of a checkout.
+# Packages whose sources are mutated, and their folders below the root of a checkout.
 PACKAGES = {
     "optics": "warpdiff/optics", "diffraction": "warpdiff/diffraction", "evaluate": "warpdiff/evaluate",
     "planner": "warpdiff/planner", "kernels": "kernels",
 }  # fmt: skip
 NATIVE = "kernels/native"
 
-# Tokens, old to new; a hash selects one of several. Names of functions are changed where they are called.
+# Replacements of tokens, old to new. Where a token has several replacements, a hash selects one. Function names are
+# replaced only in calls.
 PAIRS = (
     "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
     "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
@@ -33,26 +34,27 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Calls that are not changed: messages, names in messages, types, and options of the compiler.
+# Functions whose calls are never mutated: they make messages, names in messages, types, or options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# Faults of the headers: "header: text" by line. The text occurs once in the header, with «old|new» instead of old.
+# File of the header faults. Each line has the form "header: text". The text occurs once in the header, where «old|new»
+# stands for old.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change of one file.
+    """One fault: a change at one place of a source file.
 
     Attributes:
-        package: Package that is changed, or ``"native"`` for a header.
-        path: File below the root of the checkout.
-        begin: First byte that is replaced.
+        package: Package of the file, or ``"native"`` for a header.
+        path: Path of the file below the root of the checkout.
+        begin: Index of the first byte that is replaced.
         old: Text that is replaced.
-        new: Text in its place.
-        line: Line of the change.
-        names: Function, method, class or variables that the line defines; the name of a header.
-        identity: Text that names the change on other commits, too: it has no file and no line number.
+        new: Replacement text.
+        line: Line number of the change.
+        names: Names that the changed line defines: function, method, class or variables. For a header, its file name.
+        identity: Text that identifies the change on other commits, too. It contains no path and no line number.
     """
 
     package: str
@@ -65,12 +67,15 @@ class Mutant:
     identity: str
 
     def apply(self, source: bytes) -> bytes:
-        """Return the source with the change."""
+        """Return the source of the file with this change."""
         return source[: self.begin] + self.new.encode() + source[self.begin + len(self.old.encode()) :]
 
 
 def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
-    """Return each statement of a module with the names that it defines, and each method after its class."""
+    """Return each top-level statement of a module with the names that it defines.
+
+    The methods of a class follow the class.
+    """
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             yield (node.name,), node
@@ -82,7 +87,7 @@ def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
 
 
 def _skipped(node: ast.AST) -> list[ast.AST | None]:
-    """Parts of a node that are not changed: annotations, decorators, messages, imports for type checkers."""
+    """Return the parts of a syntax node that are never mutated: annotations, decorators, messages and imports."""
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
         return [*node.decorator_list, getattr(node, "returns", None)]
     if isinstance(node, (ast.arg, ast.AnnAssign)):
@@ -96,7 +101,7 @@ def _skipped(node: ast.AST) -> list[ast.AST | None]:
 
 
 def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str]]:
-    """First byte, old and new text of changed tokens."""
+    """Return position (byte), old text and new text of each possible token change in a source."""
     types = {tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING}
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type in types]
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
@@ -122,14 +127,14 @@ def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str
 
 
 def changed_number(value: complex) -> str:
-    """Return another number of the same type: 0 for 1 and 1 for 0, the next integer, or 1.1 times a float."""
+    """Return a changed number: integers 0 and 1 are swapped, larger ones increase by 1, floats by 10 %."""
     if isinstance(value, int):
         return str(value + 1 if value > 1 else 1 - value)
     return repr(type(value)(f"{value * 1.1 if value else 1.0:.6g}"))
 
 
 def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
-    """Return all changes of a package's Python files."""
+    """Return all possible one-token changes of a package's Python files."""
     counts: Counter[str] = Counter()
     for path in sorted((root / PACKAGES[package]).glob("*.py")):
         source = path.read_bytes()
@@ -149,12 +154,12 @@ def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
 
 
 def _span(node: ast.AST, starts: list[int]) -> tuple[int, int]:
-    """First byte of a node, and the byte after it."""
+    """Return the byte range of a syntax node: its first byte, and the byte after its last one."""
     return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
 
 
 def header_mutants(root: Path) -> Iterator[Mutant]:
-    """Return the hand-made faults of the C++ headers; the text around each must occur exactly once."""
+    """Return the manual faults of the C++ headers. The text around each fault must occur exactly once."""
     for fault in FAULTS.read_text(encoding="utf-8").splitlines():
         header, _, text = fault.partition(": ")
         before, old, new, after = re.split("[«|»]", text)
@@ -167,9 +172,10 @@ def header_mutants(root: Path) -> Iterator[Mutant]:
 
 
 def draw(root: Path, seed: str, packages: Iterable[str] = PACKAGES) -> list[Mutant]:
-    """Return the changes of some packages in random order, of which a first part is a draw.
+    """Return the possible changes of some packages in random order. The first ones are a random sample.
 
-    A hash of the seed and of a change's text orders the changes: draws by one seed on two commits are comparable.
+    The order is that of hashes of the seed and of each change's text. Samples with the same seed are therefore
+    comparable across commits.
     """
     mutants = (mutant for package in packages for mutant in mutants_of(root, package))
     return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

@@ -1,9 +1,10 @@
-"""Mutation score: share of one-token faults of the sources that the tests detect, for one or several commits.
+"""Mutation score: share of one-token faults in the sources that the tests detect, for one or several commits.
 
-``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder and records once
-which functions and kernels each test executes. It then makes one change after the other and runs the tests that execute
-it, the most specific first. The seed draws the changes; ``--headers`` makes two faults of each C++ header instead.
-Commits take turns, so that an interrupted run compares them, too; the same command continues it.
+``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. It records once
+which functions and kernels each test executes. It then makes one change at a time and runs the tests that execute the
+changed code, the most specific first. The seed determines the changes. ``--headers`` makes two faults in each C++
+header instead. The commits alternate, so that an interrupted run also compares them. The same command continues an
+interrupted run.
 """
 
 from __future__ import annotations
@@ -39,20 +40,21 @@ if TYPE_CHECKING:
     from types import FrameType
 
 ROOT = Path(__file__).resolve().parents[2]
-# Tests that may run; others are of interfaces, files and signals.
+# Test folders and files that a mutation run uses. It excludes tests of interfaces, files and signals.
 TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
-# Limit: time after which a change has timed out, relative to the limit of its tests, and to compile kernels [s].
+# `PATIENCE` is the time limit of a change, relative to the time limit of its tests. `COMPILE_S` is the additional time
+# [s] to compile kernels. Limit: a test that exceeds both is counted as timed out.
 PATIENCE, COMPILE_S = 4.0, 60.0
-# Limit: address space of a process [bytes]; changes of sizes would exhaust the machine.
+# Largest address space of a test process [bytes]. Limit: without it, a changed array size could exhaust the memory.
 MEMORY = 12 << 30
-# Processes that run tests are forks of one that has imported the slow packages, but not this one.
+# Test processes are forks of a server process that has imported the slow packages, but not warpdiff.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
 
 
 class Recorder:
-    """Plugin of pytest that records time, functions and kernels of each test function, and whether it fails."""
+    """Plugin of pytest that records time, executed functions and kernels, and failure of each test function."""
 
     def __init__(self, tree: Path, output: Path) -> None:
         self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
@@ -69,7 +71,7 @@ class Recorder:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Record one test, with the fixtures that are made for it."""
+        """Record the execution of one test, including its fixtures."""
         self._names.clear()
         sys.settrace(self._trace)
         begin = time.process_time()
@@ -80,17 +82,20 @@ class Recorder:
         return result
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Record a failure."""
+        """Record whether a test failed."""
         self._tests[report.nodeid.partition("[")[0]]["failed"] |= report.failed
 
     def pytest_sessionfinish(self) -> None:
-        """Write the record."""
+        """Write the record of all tests to a file."""
         sys.settrace(None)
         self._output.write_text(json.dumps(self._tests), encoding="utf-8")
 
 
 def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
-    """Run tests of a copy until one fails, or record all of them, and end the process that is forked for it."""
+    """Run tests in the copy of a commit until one fails, or run and record all of them.
+
+    Then end this forked process.
+    """
     os.setsid()
     os.chdir(tree)
     data = os.environ.get("WARPDIFF_DATA") or str(ROOT.parent / "shared" / "data")
@@ -99,7 +104,7 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
     log = os.open(f"{tree}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(log, 1)
     os.dup2(log, 2)
-    # The copy has a bench of its own.
+    # Modules of ``bench`` are removed from memory, because the copy has its own versions of them.
     for name in [name for name in sys.modules if name.partition(".")[0] == "bench"]:
         del sys.modules[name]
     sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
@@ -108,7 +113,10 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
 
 
 def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path | None = None) -> str:
-    """Run tests of a copy; return ``"survived"``, ``"timed out"``, or the test function that failed."""
+    """Run tests in the copy of a commit.
+
+    Return ``"survived"``, ``"timed out"``, or the name of the test that failed.
+    """
     process = PROCESSES.Process(target=pytest_of_copy, args=(tree, tests, record))
     process.start()
     process.join(limit_s)
@@ -121,12 +129,12 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
 
 
 class Run:
-    """Copy of one commit, its tests, and the results of changes."""
+    """Copy of one commit, with its tests and the results of its changes."""
 
     def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
         self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
         tests, self._log = Path(f"{self.tree}_tests.json"), Path(f"{self.tree}_{seed[:10]}.jsonl")
-        # An interrupted run may have left a change.
+        # All files are exported again, because an interrupted run may have left a change in the copy.
         export(commit, self.tree)
         if not (self.tree / "warpdiff" / "kernels").exists():
             (self.tree / "warpdiff" / "kernels").symlink_to("../kernels", target_is_directory=True)
@@ -141,7 +149,10 @@ class Run:
         self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
-        """Return each definition with the names that it uses; statements that define none count for all of a module."""
+        """Return each definition with the names that it uses.
+
+        Names used by statements that define nothing count for the whole module.
+        """
         for path in (self.tree / NATIVE).glob("*.h"):
             yield path.name, set(re.findall(r'#include "(\w+\.h)"', path.read_text(encoding="utf-8")))
         for path in [*self.tree.glob("warpdiff/**/*.py"), *self.tree.glob("kernels/*.py")]:
@@ -150,10 +161,11 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return test functions, the most specific and the fastest first.
+        """Return the test functions for a change, the most specific and the fastest first.
 
-        They are those of the module's own file, and those that execute what is changed. If no test executes it by
-        itself, as with constants, structs and functions of kernels, they execute what uses it.
+        The list has the tests in the module's own test file and all tests that execute the changed code. Some changed
+        code is never recorded as executed, such as constants, structs and functions of kernels. For it, the list has
+        the tests that execute code which uses it.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
@@ -171,14 +183,15 @@ class Run:
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
 
     def test(self, mutant: Mutant) -> None:
-        """Make a change, run its tests, and record the result."""
+        """Make one change, run its tests, record the result, and undo the change."""
         begin, path, tests = time.perf_counter(), self.tree / mutant.path, self.tests_of(mutant)
         source = path.read_bytes()
         path.write_bytes(mutant.apply(source))
         changed = path.read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
         result = run_pytest(self.tree, tests, COMPILE_S + PATIENCE * self._most_s) if tests else "survived"
         path.write_bytes(source)
-        # Byte code is known by size and time in seconds, which may be equal.
+        # Python detects changed sources by size and time in whole seconds, both of which may be equal. The compiled
+        # file is deleted.
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
         record = {
             "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,
@@ -191,14 +204,14 @@ class Run:
 
 
 def _names_in(node: ast.AST) -> set[str]:
-    """Names, attributes and headers in a part of a source."""
+    """Return the names, attributes and header file names that occur in a syntax node."""
     names = {getattr(part, "id", "") or getattr(part, "attr", "") for part in ast.walk(node)}
     headers = {str(part.value) for part in ast.walk(node) if isinstance(part, ast.Constant)}
     return names - {""} | {name for name in headers if name.endswith(".h")}
 
 
 def table(records: list[dict[str, Any]]) -> str:
-    """Return scores of all drawn changes, by package, and of the headers' faults, and the survivors, as Markdown."""
+    """Return a Markdown report: scores by package and of the header faults, and a table of the undetected changes."""
     lines = ["| package | changes | detected | score | 95 % interval |", "| --- | --- | --- | --- | --- |"]
     for name in ("all", *PACKAGES, "native"):
         group = [r for r in records if r["package"] == name or (name == "all" and r["package"] != "native")]
@@ -213,16 +226,27 @@ def table(records: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run changes until all are done or the time is over, and print the scores."""
+    """Test changes of the sources until all are done or the time limit is reached, and print the scores."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("commits", nargs="+", help="commits whose sources and tests run")
-    parser.add_argument("--seed", default="HEAD", help="commit whose hash draws the changes (HEAD)")
-    parser.add_argument("--count", type=int, default=400, help="number of changes (400)")
-    parser.add_argument("--packages", nargs="+", choices=PACKAGES, default=PACKAGES, help="packages to change (all)")
-    parser.add_argument("--headers", action="store_true", help="make the faults of the headers instead")
-    parser.add_argument("--minutes", type=float, default=1e9, help="begin no change after this time (no limit)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="processor time of the tests of one change (20)")
-    parser.add_argument("--output", type=Path, default=Path("bench_results/mutants"), help="(bench_results/mutants)")
+    parser.add_argument("commits", nargs="+", help="commits whose sources and tests are used")
+    parser.add_argument("--seed", default="HEAD", help="commit whose hash determines the changes (default: HEAD)")
+    parser.add_argument("--count", type=int, default=400, help="number of changes (default: 400)")
+    parser.add_argument(
+        "--packages", nargs="+", choices=PACKAGES, default=PACKAGES, help="packages to change (default: all)"
+    )
+    parser.add_argument("--headers", action="store_true", help="make the header faults instead")
+    parser.add_argument(
+        "--minutes", type=float, default=1e9, help="time after which no change begins (default: no limit)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="processor time of the tests of one change (default: 20)"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("bench_results/mutants"),
+        help="output folder (default: bench_results/mutants)",
+    )
     options = parser.parse_args()
     end = time.monotonic() + 60.0 * options.minutes
     command = ["git", "-C", str(ROOT), "rev-parse", options.seed, *options.commits]

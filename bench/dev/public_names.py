@@ -1,8 +1,8 @@
-"""The installed warpdiff under the public names of version 0.2, also where it is version 0.1.0, the baseline.
+"""Import of the installed warpdiff under the public names of version 0.2, also where version 0.1.0 is installed.
 
-``from bench.dev.public_names import wd`` imports the package that this Python has installed, never the source folder
-next to ``bench``. For version 0.1.0 the tables below add the new names to the old package; nothing else changes. For
-newer versions the package is passed through unchanged.
+``from bench.dev.public_names import wd`` imports the package that is installed for this Python, never the source folder
+next to ``bench``. For version 0.1.0, the baseline, the tables below add the new names to the package. Newer versions
+are not modified.
 """
 
 from __future__ import annotations
@@ -22,34 +22,35 @@ if TYPE_CHECKING:
 BASELINE = "0.1.0"
 ROOT = Path(__file__).resolve().parents[2]
 
-# Public functions, new name to old name. A function not listed here has the same name in both versions.
+# Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments, new name to old name. Each new name has one old name, whichever function takes it.
+# Keyword arguments that were renamed, new name to old name. A new name has the same old name in all functions.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
-    "periods": "copies",  # of Coherence
-    "delta_e": "tolerance",  # of bake
-    "previews": "coarser",  # of Renderer.draw
+    "periods": "copies",  # argument of Coherence
+    "delta_e": "tolerance",  # argument of bake
+    "previews": "coarser",  # argument of Renderer.draw
 }
-# Functions and methods whose arguments are renamed.
+# Functions and methods that have renamed arguments.
 RENAMED_FUNCTIONS = (
     "bake", "bake_spectrum", "brdf", "brdf_map", "camera_path", "export_html", "order_efficiencies", "plan",
     "reflectance", "shade", "spectral_reflectance", "turntable",
 )  # fmt: skip
 RENAMED_METHODS = (("Coherence", "__init__"), ("Renderer", "__init__"), ("Renderer", "draw"), ("Shot", "__init__"))
-# Attributes and methods of public classes: class, new name, old name.
+# Attributes and methods that were renamed: class, new name, old name.
 ATTRIBUTES = (
     ("Environment", "background", "seen"), ("Image", "illuminated", "lit"), ("Shot", "lights", "light"),
 )  # fmt: skip
-# Fields of a plan and of its coherence, old name to new name. A field not listed here has the same name in both.
+# Fields of a plan and of its coherence that were renamed, old name to new name.
 PLAN_FIELDS = {
     "nodes": "rings_per_octave", "rays_per_width": "azimuths_per_width", "functions": "w_basis_size",
     "lit_by": "light_sample_count", "unsettled": "unconverged_share", "unsettled_edges": "unconverged_edge_share",
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
-# Numbers of a picture's report, with those of a plan without a picture; they were fields of the plan until version 0.2.
+# Numbers of a picture's report, with their values for a plan without a picture. Up to version 0.1.0 they were fields of
+# the plan.
 REPORT_FIELDS = {
     "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
     "errors": (0.0, 0.0),
@@ -57,12 +58,12 @@ REPORT_FIELDS = {
 
 
 def is_baseline(package: ModuleType) -> bool:
-    """Whether a package has the old names."""
+    """Return whether a package is version 0.1.0, which has the old names."""
     return bool(package.__version__ == BASELINE)
 
 
 def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
-    """Fields of a plan, of its coherence and of a picture's report, by their new names."""
+    """Return the fields of a plan, of its coherence and of a picture's report, under their new names."""
     fields = dataclasses.asdict(plan)
     if not is_baseline(wd):
         fields |= {name: getattr(report, name, value) for name, value in REPORT_FIELDS.items()}
@@ -74,7 +75,8 @@ def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
 
 
 def _installed() -> Any:
-    # The root of the checkout is on the path for the sake of ``bench``; its ``warpdiff`` folder must not be found.
+    # The root of the checkout is removed from the import path. It is there because of ``bench``, but its ``warpdiff``
+    # folder must not be imported.
     sys.path[:] = [entry for entry in sys.path if Path(entry).resolve() != ROOT]
     package = importlib.import_module("warpdiff")
     if is_baseline(package):
@@ -97,11 +99,11 @@ def _add_new_names(package: Any) -> None:
 
 
 def _with_new_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that takes new keyword arguments besides its old ones."""
+    """Return a function that accepts the new keyword arguments in addition to the old ones."""
 
     @functools.wraps(function)
     def call(*positional: Any, **keywords: Any) -> Any:
-        # method="low-rank", integration="table" was method="low-rank/table".
+        # In version 0.1.0, method="low-rank/table" meant method="low-rank" with integration="table".
         integration = keywords.pop("integration", "auto")
         if integration != "auto":
             keywords["method"] = f"{keywords['method']}/{integration}"

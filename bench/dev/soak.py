@@ -1,7 +1,6 @@
 """Endurance test: repeat the permanent tests of a checkout for a given time, and count failures.
 
-Run ``make soak MINUTES=5``, or
-``python -m bench.dev.soak --minutes 5``.
+Run ``make soak MINUTES=5``, or ``python -m bench.dev.soak --minutes 5``.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[2]
-# Time after the end for tests that have begun.
+# Additional time [s] after the end for tests that are still running. Limit: a test that exceeds it counts as hanging.
 GRACE_S = 900.0
 
 
 class Row(NamedTuple):
-    """Counts of one row of the table: cases, failures and skipped tests."""
+    """Counts of one row of the table: test cases, failures and skipped tests."""
 
     cases: int
     failed: int
@@ -37,11 +36,11 @@ class Row(NamedTuple):
 
 
 def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
-    """Return the counts by row, from the test cases of a report in JUnit's format."""
+    """Return the counts by row of the table, from the test cases of a report in JUnit format."""
     result: dict[str, Row] = defaultdict(lambda: Row(0, 0, 0))
     for case in cases:
         properties = {entry.get("name"): entry.get("value", "") for entry in case.iter("property")}
-        # Test files that are skipped because a package is absent belong to no row.
+        # Test files that are skipped because a package is missing belong to no row.
         if "row" not in properties:
             continue
         row = result[properties["row"]]
@@ -62,7 +61,10 @@ def table(results: dict[str, Row]) -> str:
 
 
 def run(end: float, *, seed: int) -> dict[str, Row]:
-    """Run all permanent tests once, until ``end`` at most, seconds since the epoch."""
+    """Run all permanent tests once, but not longer than until ``end`` [seconds since the epoch].
+
+    Return their counts.
+    """
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [
@@ -74,24 +76,24 @@ def run(end: float, *, seed: int) -> dict[str, Row]:
                 command, cwd=ROOT, env=environment, check=False, timeout=end - time.time() + GRACE_S
             ).returncode
         except subprocess.TimeoutExpired:
-            sys.exit(f"the tests still ran {GRACE_S / 60.0:g} minutes after the end: a test hangs")
+            sys.exit(f"the tests were still running {GRACE_S / 60.0:g} minutes after the end: a test hangs")
         if done not in (0, 1):
             sys.exit("the tests could not be run")
         result = rows(Xml.parse(report).iter("testcase"))  # noqa: S314 (written by the tests themselves)
     if done and not any(row.failed for row in result.values()):
-        sys.exit("a test failed that belongs to no row")
+        sys.exit("a test failed that belongs to no row of the table")
     return result
 
 
 def main() -> int:
-    """Run the permanent tests and print the table; returns 1 if a test failed."""
+    """Run the permanent tests and print the table. Return 1 if a test failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=60.0, help="duration in minutes (60)")
+    parser.add_argument("--minutes", type=float, default=60.0, help="duration in minutes (default: 60)")
     options = parser.parse_args()
     begin = time.time()
     end = begin + 60.0 * options.minutes
     results: dict[str, Row] = {}
-    # Each repetition has other random numbers.
+    # Each repetition uses different random numbers.
     for number in itertools.count():
         for name, row in run(end, seed=int(end) + number).items():
             results[name] = Row(*np.add(results.get(name, Row(0, 0, 0)), row).tolist())

@@ -1,16 +1,17 @@
-"""Cost of automatic plans relative to the cheapest setting, and their predicted errors relative to the actual ones.
+"""Comparison of automatic plans with the cheapest settings: costs, and predicted relative to actual errors.
 
 A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions, of which the first 128
-are evaluated. Its automatic plan is compared with all settings of a grid: every method, terms in whole registers,
-neighbours in steps of 0.5 of the exponent of their least weight, wavelength sets and shares of the bandwidth in quarter
-octaves, the same number of wavelengths for all directions, and for periods subdivisions in quarter octaves. A setting
-counts if it meets the tolerance against the float64 reference on these 128 directions, without a safety factor; errors
-are relative to the brightness of the whole call. The
-settings with the lowest predicted cost, in total and per method, are timed; the fastest is the cheapest setting. The
-result of a direction depends on its own wavelength set only, so each set is computed once, and plans are combined from
-them.
+are evaluated. Its automatic plan is compared with all settings of a grid. The grid varies the method, the number of
+terms in whole registers, the neighbours in steps of 0.5 of the exponent of their least weight, and the wavelength sets
+with their shares of the bandwidth in quarter octaves. It includes equal numbers of wavelengths for all directions and,
+for periods, subdivisions in quarter octaves.
 
-Times are processor times over the number of threads, medians of interleaved rounds.
+A setting counts if it meets the tolerance on these 128 directions against the float64 reference, without a safety
+factor. Errors are relative to the brightness of the whole call. The settings with the lowest predicted cost, in total
+and per method, are timed; the fastest is the cheapest setting. The result of a direction depends only on its own
+wavelength set. Each set is therefore computed once, and plans are combined from the sets.
+
+Times are processor times divided by the number of threads, medians of interleaved rounds.
 """
 
 from __future__ import annotations
@@ -41,32 +42,39 @@ from warpdiff.planner import cost_model
 from warpdiff.request.directions import DirectionRange, order_rate
 from warpdiff.tables import coefficient_table
 
+# Width of the visible range in wavenumbers 1/λ [1/µm].
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
+# Number of directions that are evaluated, and number of directions of the planned call.
 DIRECTIONS, PLANNED = 128, 40_000
-# Smallest cosine of directions that are drawn: 85° from the normal.
+# Smallest cosine of random directions. Limit: 85° from the normal.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
+# Tolerances of configurations, and those of replicas, whose reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
-PITCH_UM = 0.09  # of the synthetic surfaces
-# Wavelength sets: quarter octaves; sets below the kernel's ladder are equal for all directions.
+PITCH_UM = 0.09  # sample spacing of the synthetic surfaces
+# Numbers of wavelengths in small sets, in quarter octaves. These sets are the same for all directions, because the
+# kernel's own sets begin at 16.
 FEWER = (8, 10, 11, 13)
-# Bandwidths: share of the constant in quarter octaves, and split of the rest between (u, v) and w.
+# Parts of the bandwidth: share of the constant part in quarter octaves, and division of the rest between (u, v) and w.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
+# Number of values that are tried, starting at the least sufficient one: numbers of terms, and exponents of the least
+# weight.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
+# Step and largest value of the exponent of the least weight.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Methods and settings whose least predicted cost exceeds the best one by this factor are excluded.
+# Factor of the lowest predicted cost above which methods and settings are excluded.
 HOPELESS = 1.6
-TIMED = 4  # candidates that are timed
-# Largest number of directions of one timing.
+TIMED = 4  # number of candidates that are timed
+# Largest number of directions of one timed call. Limit: duration of a comparison.
 MOST_TIMED = 4096
-# Number of assignments that are evaluated at once.
+# Number of assignments that are evaluated at once. Limit: memory.
 CHUNK = 64
 
 
 class Configuration(NamedTuple):
-    """Inputs of a plan."""
+    """Inputs of a plan: surface, coherence, tolerance and directions."""
 
     surface: str
     heightfield: wd.HeightField
@@ -80,7 +88,7 @@ class Configuration(NamedTuple):
 
 
 def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
-    """Return all height fields, with those of the scan if it is available."""
+    """Return the height fields by name. They include crops of the scan if its file is available."""
     result = {
         f"fingers {size:g} µm": wd.gratings.fingers(size_um=size, pitch_um=PITCH_UM) for size in (6.4, 12.8, 25.6)
     }
@@ -97,15 +105,15 @@ def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
         result |= {f"scan {size:g} µm": scan.cropped(size) for size in (6.5, 12.5, 25.0)}
         result["scan 65 µm"] = scan
     else:
-        print(f"{demo.SCAN} is not available: synthetic surfaces only")
+        print(f"{demo.SCAN} is not available: only synthetic surfaces are used")
     return result
 
 
 def configurations(data: Path | None, count: int, seed: int) -> list[Configuration]:
-    """Return random configurations: kinds of coherence in turn, surfaces and tolerances equally often."""
+    """Return random configurations. Kinds of coherence alternate; surfaces and tolerances occur equally often."""
     rng = np.random.default_rng(seed)
     fields = surfaces(data)
-    # The reference sums a replicated patch sample by sample.
+    # Replicated patches must be small, because the reference sums them sample by sample.
     small = [name for name, heightfield in fields.items() if math.prod(heightfield.shape) <= 1 << 14]
     remaining: dict[Any, list[Any]] = {}
 
@@ -124,7 +132,7 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
         if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
             pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
-        # One light or many, as for a map or a picture.
+        # Half of the calls have one light direction, like a map; the others have many, like a picture.
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
         coherence = wd.Coherence(kind, periods=pair)
@@ -133,14 +141,14 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
 
 
 def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return unit vectors up to 85° from the normal, uniform over the sphere."""
+    """Return random unit vectors up to 85° from the normal, uniform over the sphere."""
     z, phi = rng.uniform(LOWEST, 1.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
 
 
 class Call:
-    """Directions of one call, their exact colours, and the results of plans."""
+    """Directions of one call, their reference colours, and the results of plans."""
 
     def __init__(
         self, case: Configuration, lights: np.ndarray, views: np.ndarray, luminance: float, *, threads: int | None
@@ -161,14 +169,14 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        # A tolerance is relative to the brightness of all planned directions, of which these few say little.
+        # Errors are relative to the brightness of all planned directions, which these few directions do not represent.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
         self._arrays: dict[int, Any] = {}
 
     def load(self, repeats: int) -> list[Any]:
-        """Return the directions on the device, repeated."""
+        """Return the device arrays of the directions, repeated ``repeats`` times."""
         import warp as wp
 
         if repeats not in self._arrays:
@@ -181,7 +189,7 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """Return a function that evaluates a plan with prepared tables."""
+        """Return a function that evaluates a plan. Its tables are made in advance."""
         heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
@@ -199,23 +207,23 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the error of each direction."""
+        """Return the relative error of each direction by a plan."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """Return the error of a call from errors (..., n): the larger P99 of bright and of dim directions."""
+        """Return the error of a call: the larger P99 of bright and of dim directions, from errors of shape (..., n)."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Return the error of a plan."""
+        """Return the error of the whole call by a plan."""
         return float(self.worst(self.errors(plan)))
 
 
 class Bandwidths:
-    """All assignments of wavelength sets to directions, with the mean number of wavelengths."""
+    """All assignments of wavelength sets to directions, with their mean numbers of wavelengths."""
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
@@ -234,7 +242,7 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # The smallest sets are equal for all directions.
+        # The smallest wavelength sets are the same for all directions.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -243,7 +251,10 @@ class Bandwidths:
         self.order = np.argsort(self.counts, kind="stable")
 
     def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
-        """Return the cheapest assignment that meets a tolerance, from errors of all sets, shape (sizes, n)."""
+        """Return the index of the cheapest assignment that meets the tolerance, or None.
+
+        ``errors`` has the errors of all directions by all sets, shape (sizes, n).
+        """
         columns = np.arange(errors.shape[1])
         for start in range(0, len(self.order), CHUNK):
             chunk = self.order[start : start + CHUNK]
@@ -253,7 +264,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan with an assignment."""
+        """Return a plan that uses one assignment of wavelength sets."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -263,14 +274,17 @@ class Bandwidths:
 
 
 class Setting(NamedTuple):
-    """A setting that meets the tolerance."""
+    """A setting that meets the tolerance, with its predicted cost."""
 
     cost: float
     plan: wd.Plan
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the cheapest bandwidth for every promising method, number of terms and neighbours (or subdivisions)."""
+    """Return the cheapest bandwidth for each promising combination of method, terms and neighbours.
+
+    For replicas, subdivisions take the place of neighbours.
+    """
     case = call.case
     tolerance = case.tolerance
     bandwidths = Bandwidths(call, 2 * automatic.wavelengths)
@@ -285,7 +299,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def is_promising(plan: wd.Plan) -> bool:
-        """Whether a plan's kernel, with the fewest wavelengths so far, could be among the best."""
+        """Return whether a plan could be among the best if it needed the fewest wavelengths found so far."""
         if not results:
             return True
         best = min(setting.cost for setting in results)
@@ -301,7 +315,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
             bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
             if enough == MORE_TERMS or not is_promising(bare):
                 break
-            # A series with far too few terms is skipped.
+            # Skip a series that has far too few terms.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
                 argument = (
@@ -327,7 +341,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return a plan with the fewest neighbours that meet the tolerance and more, or with all subdivisions."""
+    """Return variants of a plan with the fewest sufficient neighbours and more, or with all subdivisions."""
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
         counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
@@ -347,7 +361,7 @@ def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Pl
 
 
 def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
-    """Return microseconds per direction of each plan, interleaved."""
+    """Return the time per direction [µs] of each plan. The plans are timed alternately."""
     call.prepared(plans[0])()
     begin = time.perf_counter()
     call.prepared(plans[0])()
@@ -364,7 +378,15 @@ def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
 
 
 class Result(NamedTuple):
-    """Ratios of one configuration."""
+    """Ratios of one configuration.
+
+    Attributes:
+        ratio: Time of the plan over the time of the cheapest setting.
+        predicted: Predicted over actual error, on the planned directions.
+        fresh: Predicted over actual error, on directions that the plan has not read.
+        samples: Predicted number of samples of the plan over that of the cheapest setting.
+        kernel: Predicted cost per sample of the plan over that of the cheapest setting.
+    """
 
     ratio: float
     predicted: float
@@ -374,7 +396,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Plan, search and time one configuration; returns a row of the table and its numbers."""
+    """Plan, search and time one configuration. Return a table row and its numbers."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -395,7 +417,10 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         error, error_fresh = call.error(automatic), fresh.error(automatic)
         candidates = sorted(settings(call, automatic), key=lambda setting: setting.cost)
         if not candidates:
-            return f"| {case} | no setting of the grid meets the tolerance; the plan's error {error:.1e} |", None
+            return (
+                f"| {case} | no setting of the grid meets the tolerance; the error of the plan is {error:.1e} |",
+                None,
+            )
         chosen = candidates[:TIMED]
         for method in METHODS:
             chosen += [setting for setting in candidates if setting.plan.method == method][:1]
@@ -403,7 +428,7 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The ratio is a product: mean number of samples, and cost per sample.
+    # The cost ratio is the product of two ratios: mean number of samples, and cost per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]
@@ -437,18 +462,18 @@ def _numbers(plan: wd.Plan) -> str:
 
 
 def quartiles(values: list[float]) -> str:
-    """Return median, quartiles and range as text."""
+    """Return a text with the median, quartiles and range of values."""
     low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100])
     return f"median {median:.2f}, quartiles {first:.2f} and {third:.2f}, range {low:.2f} to {high:.2f}"
 
 
 def main() -> None:
-    """Print the table and its summary."""
+    """Print the table of configurations and its summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=40, help="configurations (40)")
-    parser.add_argument("--only", type=int, help="only this configuration")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
-    parser.add_argument("--rounds", type=int, default=7, help="timed rounds (7)")
+    parser.add_argument("--count", type=int, default=40, help="number of configurations (default: 40)")
+    parser.add_argument("--only", type=int, help="run only the configuration with this index")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
+    parser.add_argument("--rounds", type=int, default=7, help="number of timed rounds (default: 7)")
     parser.add_argument("--threads", type=int, help="threads on the CPU (default: one per core)")
     parser.add_argument("--data", type=Path, help=inputs.HELP)
     options = parser.parse_args()
@@ -457,8 +482,8 @@ def main() -> None:
     if options.only is not None:
         every = [every[options.only]]
     print(
-        "| surface | coherence | tolerance | µs, plan | µs, cheapest | ratio | of samples | per sample | plan "
-        "| cheapest | error, plan | cheapest | predicted / actual | error, fresh | predicted / actual |"
+        "| surface | coherence | tolerance | µs, plan | µs, cheapest | time ratio | samples ratio | per sample | plan "
+        "| cheapest | error, plan | error, cheapest | predicted / actual | error, fresh | predicted / actual |"
     )
     print("|" + " --- |" * 15)
     results: list[tuple[Configuration, Result]] = []
@@ -474,7 +499,7 @@ def main() -> None:
     print(f"\n{len(results)} configurations in {time.perf_counter() - begin:.0f} s, {missing} without a result")
     if not results:
         return
-    print(f"time of the plan over the cheapest's: {quartiles([r.ratio for _, r in results])} (target: median 2)")
+    print(f"plan's time over the cheapest setting's: {quartiles([r.ratio for _, r in results])} (target: median 2)")
     for kind in KINDS:
         ratios = [r.ratio for case, r in results if case.coherence.kind == kind]
         if ratios:

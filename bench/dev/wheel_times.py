@@ -1,4 +1,4 @@
-"""Times of two wheels, interleaved: frames, points, plans, cold starts, import and help.
+"""Comparison of computing times of two wheels: frames, points, plans, cold starts, import and help.
 
 ::
 
@@ -6,14 +6,15 @@
     python -m bench.dev.baseline --folder after --commit HEAD --versions-of before
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
-A round starts a new process for either wheel. For every row the two processes take turns, call by call, in alternating
-order; a round's ratio is the median over pairs of neighbouring calls of the same work. Rows that start processes of
-their own (cold start, import, help) take turns in the same way. A row's ratio is the median over rounds; its interval
-of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added until the interval of each
-row is within ±``--half-width``, or until ``--most-rounds``.
+Each round starts a new process for each wheel. For every row the two processes alternate call by call, in alternating
+order. The ratio of a round is the median over pairs of neighbouring calls of the same work. Rows that start their own
+processes (cold start, import, help) alternate in the same manner. The ratio of a row is the median over rounds. Its
+interval of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added until the
+interval of each row is within ±``--half-width``, or until ``--most-rounds``.
 
-The wheel ``--before`` is compared with itself first, by the same procedure: its ratios show what the machine resolves.
-Kernels are compiled before, into a folder in each wheel's environment; nothing else is cached on disk.
+First, the wheel ``--before`` is compared with itself by the same procedure. These ratios show which differences the
+machine can resolve. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is cached
+on disk.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Fewest rounds for which order statistics give an interval of 95 %.
+# Fewest rounds for which order statistics give an interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
-# Seconds of calls per wheel, row and round, and limits of their number.
+# Total time of calls per wheel, row and round [s], and limits of the number of calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000
@@ -59,19 +60,21 @@ image.save("first.png")
 
 
 class Seconds(NamedTuple):
-    """Wall time and processor time of one call."""
+    """Wall time and processor time of one call [s]."""
 
     wall: float
     cpu: float
 
 
-# Rows that a worker process measures.
+# Rows of the table that a worker process measures.
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Preparations by row; each returns the call that is timed, whose argument is its number.
+    """Return a preparation function for each row.
 
-    Frames have 640 × 480 pixels unless a row's name has another size; light and view move from one to the next.
+    It returns the timed function, whose argument is the number of the call.
+
+    Frames have 640 × 480 pixels unless the row's name states another size. Light and camera move from frame to frame.
     """
     from bench.dev.public_names import wd
 
@@ -125,7 +128,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # A new height field has nothing cached.
+        # Each call makes a new height field, because results are cached for a height field that was used before.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options
@@ -156,7 +159,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
     }  # fmt: skip
 
 
-# Rows that start processes, with the number of calls per round.
+# Rows of the table that start processes, with the number of calls per round and the arguments of Python.
 
 PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
     "process: first picture": (2, ["-c", COLD_START]),
@@ -167,15 +170,18 @@ PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
 
 
 def timed(call: Call, k: int) -> Seconds:
-    """Time one call."""
+    """Return the times of one call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call(k)
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
 def work(threads: int | None) -> None:
-    """Write the rows' names, then answer lines until there are no more: a row to prepare, or the number of a call."""
-    # Text that libraries print must not mix with the answers.
+    """Run the worker process: write the names of the rows, then time one call for each line of stdin.
+
+    A line is the name of a row to prepare, or the number of a call.
+    """
+    # Output of libraries is discarded, because it must not mix with the answers.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     with Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
@@ -186,7 +192,7 @@ def work(threads: int | None) -> None:
         text = line.strip()
         if text in rows:
             call = rows[text]()
-            # The first call makes tables and loads kernels.
+            # The first call is not timed, because it makes tables and loads kernels.
             call(0)
             answer = timed(call, 1)
         else:
@@ -194,16 +200,16 @@ def work(threads: int | None) -> None:
         print(json.dumps(answer), file=answers, flush=True)
 
 
-# The parent process.
+# Functions of the parent process, which compares the wheels.
 
 
 @dataclass(frozen=True)
 class Wheel:
-    """An installed wheel.
+    """A wheel that is installed in an environment.
 
     Attributes:
-        python: The Python of its environment.
-        threads: Threads of all calls; None is one per core.
+        python: Path of the Python program of the environment.
+        threads: Number of threads of all calls; None means one per core.
     """
 
     python: Path
@@ -211,12 +217,15 @@ class Wheel:
 
     @property
     def environment(self) -> dict[str, str]:
-        """Variables of its processes: kernels have a folder of their own, and nothing else is cached on disk."""
+        """Environment variables of the wheel's processes.
+
+        Kernels have their own cache folder, and nothing else is cached on disk.
+        """
         cache = self.python.parent.parent / "kernel_cache"
         return os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": "", "PYTHONPATH": ""}
 
     def run(self, arguments: Sequence[str]) -> Seconds:
-        """Time a process from its start to its end, in an empty folder."""
+        """Return the times of a Python process from its start to its end. It runs in an empty folder."""
         with tempfile.TemporaryDirectory() as folder:
             wall, cpu = time.perf_counter(), _children_cpu()
             subprocess.run(
@@ -230,7 +239,7 @@ class Worker:
     """A process that times calls of a wheel, until the ``with`` block ends.
 
     Attributes:
-        rows: Names of the rows that it measures.
+        rows: Names of the rows that the process can measure.
     """
 
     def __init__(self, wheel: Wheel) -> None:
@@ -249,15 +258,15 @@ class Worker:
         self._process.communicate()
 
     def ask(self, text: object) -> None:
-        """Ask for a row to be prepared, or for a call of it by its number."""
+        """Send a request to the process: the name of a row to prepare, or the number of a call to time."""
         print(text, file=self._process.stdin, flush=True)
 
     def receive(self) -> Seconds:
-        """The time of the last call of what was asked for."""
+        """Return the times of the last requested call."""
         return Seconds(*self._answer())
 
     def run(self, k: int) -> Seconds:
-        """Time a call of the row that was prepared, by its number."""
+        """Return the times of one call of the prepared row, by the number of the call."""
         self.ask(k)
         return self.receive()
 
@@ -276,30 +285,30 @@ def _children_cpu() -> float:
 
 @dataclass
 class Row:
-    """Times of one row.
+    """Times of one row of the table.
 
     Attributes:
-        name: Its name.
-        pairs: By round, times of neighbouring calls of both wheels, (before, after).
+        name: Name of the row.
+        pairs: Per round, pairs of times of neighbouring calls of both wheels, (before, after).
     """
 
     name: str
     pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
 
     def ratios(self, clock: str) -> list[float]:
-        """Ratios of the time after to the time before, one per round."""
+        """Return the ratio of the time after to the time before, one per round."""
         return [
             float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
             for pairs in self.pairs
         ]
 
     def interval(self, clock: str) -> tuple[float, float, float]:
-        """Median ratio over the rounds, and the ends of its interval of at least 95 %."""
+        """Return the median ratio over the rounds, and the ends of its interval of at least 95 %."""
         ratios = sorted(self.ratios(clock))
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # The interval from the i-th smallest to the i-th largest misses the median with twice this probability.
+        # The interval from the i-th smallest to the i-th largest ratio misses the median with twice this probability.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
             outside += math.comb(count, i) * 0.5**count
@@ -307,19 +316,22 @@ class Row:
         return float(np.median(ratios)), ratios[i - 1], ratios[count - i]
 
     def is_precise(self, clock: str, half_width: float) -> bool:
-        """Whether the interval is within ± a half-width."""
+        """Return whether the interval of the median ratio is within ± ``half_width``."""
         _, low, high = self.interval(clock)
         return high - low <= 2.0 * half_width
 
     def milliseconds(self, clock: str) -> tuple[float, float]:
-        """Median times of both wheels [ms]."""
+        """Return the median times of both wheels [ms]."""
         both = [[getattr(which, clock) for which in pair] for pairs in self.pairs for pair in pairs]
         before, after = 1e3 * np.median(np.array(both), axis=0)
         return float(before), float(after)
 
 
 def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
-    """Return pairs of times of two functions that are called ``count`` times with an index and take turns."""
+    """Return pairs of times of two functions.
+
+    They are called alternately, ``count`` times each, with the number of the call.
+    """
     pairs = []
     for k in range(count):
         begins = (first + k) % 2
@@ -329,14 +341,14 @@ def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[S
 
 
 def add_round(before: Wheel, after: Wheel, rows: Sequence[Row], number: int) -> None:
-    """Add a round's times to rows."""
+    """Measure one round, and add its times to the rows."""
     first = number % 2
     by_workers = [row for row in rows if row.name not in PROCESS_ROWS]
     if by_workers:
         with contextlib.ExitStack() as stack:
             started = {which: stack.enter_context(Worker((before, after)[which])) for which in (first, 1 - first)}
             for row in by_workers:
-                # Both prepare at the same time; only the calls that follow take turns.
+                # Both processes prepare the row at the same time. The timed calls alternate.
                 for worker in started.values():
                     worker.ask(row.name)
                 seconds = min([worker.receive().wall for worker in started.values()])
@@ -353,7 +365,7 @@ def _process_pairs(before: Wheel, after: Wheel, name: str, first: int) -> list[t
 
 
 def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], options: argparse.Namespace) -> list[Row]:
-    """Compare two wheels until every row is precise, and print the rows."""
+    """Compare two wheels until the interval of every row is narrow enough, and print the rows."""
     rows = [Row(name) for name in names]
     for number in range(max(options.most_rounds, options.rounds)):
         measured = rows
@@ -380,12 +392,12 @@ def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], optio
 
 
 def raw(rows: Iterable[Row]) -> dict[str, Any]:
-    """All times [s] by row and round; each pair of calls has wall and processor time before, then after."""
+    """Return all times [s] by row and round. Each pair has the wall and processor times before and after."""
     return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
 
 
 def warm(wheel: Wheel, text: str) -> list[str]:
-    """Compile the kernels of all rows whose name contains a text; returns their names."""
+    """Compile the kernels of all rows whose names contain a text. Return the names of these rows."""
     with Worker(wheel) as worker:
         names = [name for name in (*worker.rows, *PROCESS_ROWS) if text in name]
         for name in names:
@@ -398,17 +410,25 @@ def warm(wheel: Wheel, text: str) -> list[str]:
 
 
 def main() -> None:
-    """Compare the wheel before with itself and with the wheel after."""
+    """Compare the baseline wheel with itself, then with the other wheel."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--before", type=Path, help="Python with the wheel that is the baseline")
-    parser.add_argument("--after", type=Path, help="Python with the wheel that is compared with it")
-    parser.add_argument("--rounds", type=int, default=9, help=f"rounds of every row, at least {FEWEST_ROUNDS} (9)")
-    parser.add_argument("--most-rounds", type=int, default=41, help="rounds of rows whose interval is too wide (41)")
-    parser.add_argument("--half-width", type=float, default=0.03, help="half-width of intervals to reach (0.03)")
-    parser.add_argument("--clock", choices=CLOCKS, default="wall", help="time whose intervals are narrowed (wall)")
-    parser.add_argument("--threads", type=int, help="threads of all calls in workers (one per core)")
-    parser.add_argument("--only", metavar="TEXT", default="", help="measure rows whose name contains this alone")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write all times, a .json file")
+    parser.add_argument("--before", type=Path, help="Python of the environment with the baseline wheel")
+    parser.add_argument("--after", type=Path, help="Python of the environment with the wheel to compare")
+    parser.add_argument(
+        "--rounds", type=int, default=9, help=f"rounds of every row, at least {FEWEST_ROUNDS} (default: 9)"
+    )
+    parser.add_argument(
+        "--most-rounds", type=int, default=41, help="rounds of rows whose interval is too wide (default: 41)"
+    )
+    parser.add_argument(
+        "--half-width", type=float, default=0.03, help="half-width of the intervals to reach (default: 0.03)"
+    )
+    parser.add_argument(
+        "--clock", choices=CLOCKS, default="wall", help="time whose intervals must be narrow (default: wall)"
+    )
+    parser.add_argument("--threads", type=int, help="threads of all calls in workers (default: one per core)")
+    parser.add_argument("--only", metavar="TEXT", default="", help="measure only rows whose name contains this text")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write all times to this .json file")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:
@@ -416,7 +436,7 @@ def main() -> None:
         return
     if options.before is None or options.after is None or options.rounds < FEWEST_ROUNDS:
         parser.error(f"--before and --after must be given, and --rounds must be at least {FEWEST_ROUNDS}")
-    # Links are not resolved: an environment's Python is a link to the system's.
+    # Symbolic links are not resolved, because the Python of an environment is a link to the system's Python.
     before, after = (Wheel(python.absolute(), options.threads) for python in (options.before, options.after))
     names = warm(before, options.only)
     warm(after, options.only)

@@ -1,6 +1,6 @@
-"""Write ``warpdiff/request/keywords.py``: the keyword arguments of public functions, for type checkers.
+"""Generator of ``warpdiff/request/keywords.py``: the keyword arguments of public functions, for type checkers.
 
-``python -m bench.dev.write_keywords`` makes a ``TypedDict`` from each class of ``warpdiff/request/settings.py``; a test
+``python -m bench.dev.write_keywords`` makes a ``TypedDict`` from each class of ``warpdiff/request/settings.py``. A test
 compares the file with the classes.
 """
 
@@ -29,10 +29,10 @@ from warpdiff.request.settings import Energy, Integration, Layer, Method
 
 
 class _WithoutRanges(ast.NodeTransformer):
-    """Replace ``Annotated[T, …]`` by ``T``."""
+    """Syntax tree transformer that replaces ``Annotated[T, …]`` by ``T``."""
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
-        """Replace one subscript."""
+        """Replace one expression ``Annotated[T, …]`` by ``T``."""
         self.generic_visit(node)
         if ast.unparse(node.value) == "Annotated" and isinstance(node.slice, ast.Tuple):
             return node.slice.elts[0]
@@ -40,7 +40,7 @@ class _WithoutRanges(ast.NodeTransformer):
 
 
 def keywords(settings: str) -> str:
-    """Return the text of ``keywords.py`` for the source of ``settings.py``."""
+    """Return the text of ``keywords.py`` that corresponds to the source of ``settings.py``."""
     blocks = [HEAD]
     for node in ast.parse(settings).body:
         if not isinstance(node, ast.ClassDef):

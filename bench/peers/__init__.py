@@ -1,18 +1,18 @@
-"""Peers: other programs that compute the same, for comparisons of speed and accuracy.
+"""Peers: other programs for the same computations, for comparisons of speed and accuracy.
 
-Shading, all of scattering vectors (u, v, w) and gains:
+Programs that compute colours from scattering vectors (u, v, w) and gains:
 
-- ``numpy_peer``: the published algorithm in plain vectorised NumPy.
-- ``numba_published``: the same in Numba; importing it requires Numba.
-- ``drjit_peer``: the same in Dr.Jit, compiled by LLVM.
+- ``numpy_peer``: the published algorithm in vectorised NumPy.
+- ``numba_published``: the published algorithm in Numba; importing it requires Numba.
+- ``drjit_peer``: the published algorithm in Dr.Jit, compiled by LLVM.
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.
 
-Each has ``available()``, which returns None or the reason why it cannot run, ``SETTINGS``, from cheap to accurate, and
-``prepare(heightfield, coherence, **setting)``. The latter returns ``shade(scattering_vectors, gains, threads)`` -> XYZ
-(n, 3).
+Each module has ``available()``, ``SETTINGS`` and ``prepare(heightfield, coherence, **setting)``. ``available()``
+returns None, or the reason why the program cannot run. ``SETTINGS`` are ordered from cheap to accurate. ``prepare``
+returns a function ``shade(scattering_vectors, gains, threads)`` that returns XYZ (n, 3). ``scattering_vectors`` (n, 3)
+and ``gains`` (n,) are float64. The first call may compile: warm up with arrays of the timed length.
 
-``scattering_vectors`` (n, 3) and ``gains`` (n,) are float64. A first call may compile: warm up with arrays of the
-length that is timed.
+Programs that trace rays:
 
-- ``raycasters``: Mitsuba 3 and Embree, for the rays.
+- ``raycasters``: Mitsuba 3 and Embree.
 """

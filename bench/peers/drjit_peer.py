@@ -1,10 +1,10 @@
 """The published algorithm in Dr.Jit (Jakob et al. 2022), compiled for the CPU by LLVM.
 
-Directions are SIMD, wavelengths a symbolic loop, neighbours and terms unrolled. A neighbour's terms come by packets of
-contiguous floats, which LLVM transposes. The series is evaluated by Horner's rule; the table contains the factors 1/n!.
-This requires a tenth less time than a basis function for every term.
+Directions are vectorised, wavelengths are a symbolic loop, and neighbours and terms are unrolled. The terms of a
+neighbour are loaded in packets of contiguous floats, which LLVM transposes. Horner's rule evaluates the series, and the
+table contains the factors 1/n!. This requires 10 % less time than a basis function for every term.
 
-It needs LLVM's shared library, which Dr.Jit finds by its usual names or through ``DRJIT_LIBLLVM_PATH``.
+The module requires LLVM's shared library. Dr.Jit finds it by its usual names or through ``DRJIT_LIBLLVM_PATH``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Floats that are loaded at a time.
+# Number of coefficients of a series that are loaded at a time. Limit: registers.
 PACKET = 8
-# Floats of a cache line.
+# Number of floats per cache line. Derived: 64 bytes.
 LINE = 16
 
 
 def available() -> str | None:
-    """None, or why Dr.Jit cannot run."""
+    """Return None, or the reason why Dr.Jit cannot run."""
     try:
         import drjit
     except ImportError:
@@ -43,16 +43,16 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions at one setting of :func:`peers.series.series`.
+    """Return a function that shades directions at one setting of :func:`bench.peers.series.series`.
 
     Args:
-        heightfield: The height field.
-        coherence: A window, averaged or centred.
+        heightfield: Height field.
+        coherence: An averaged or centred window.
         setting: One of ``SETTINGS``.
 
     Returns:
-        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3). The first call
-        with an array length compiles.
+        A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3). The
+        first call with an array length compiles.
     """
     import drjit as dr
     from drjit.llvm import Float
@@ -77,7 +77,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """A copy that begins on a cache line's border: Dr.Jit compiles once more for arrays that do not."""
+    """Return a float32 copy that starts at a cache line. Dr.Jit compiles again for arrays with another alignment."""
     memory = np.empty(len(values) + LINE, dtype=np.float32)
     first = -memory.ctypes.data // memory.itemsize % LINE
     memory[first : first + len(values)] = values
@@ -85,13 +85,13 @@ def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[Any, Any, Any]:
-    """XYZ without gains."""
+    """Return XYZ of directions without gains, as Dr.Jit arrays."""
     import drjit as dr
     from drjit.llvm import ArrayXf, Float, Int, UInt
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # A basis' first factor beyond 1 is 2πa/λ: that of the first wavelength gives 2πa.
+    # The second factor of the basis is 2πa/λ. Division by the first wavenumber gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
@@ -99,7 +99,7 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
 
     def coefficient(at: Any, x: Any) -> list[Any]:
-        """Real and imaginary part."""
+        """Return the real and imaginary parts of a coefficient."""
         parts = []
         for part in (2 * at, 2 * at + 1):
             value = Float(0.0)

@@ -1,13 +1,15 @@
-"""The published algorithm in Numba, the baseline of comparisons; importing this module requires Numba.
+"""The published algorithm in Numba, the baseline of comparisons. Importing this module requires Numba.
 
-The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24): at wavelengths equally spaced in λ, 380
-to 780 nm, the Taylor sum of a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle rule.
+The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24), at wavelengths equally spaced in λ from 380 to
+780 nm. At each wavelength the Taylor series is evaluated at a square of coefficients around (u, v)/λ, weighted by a
+Gaussian. The integral is a rectangle rule.
 
-What makes it fast: a coefficient is two vectors of floats, real and imaginary parts, padded to whole cache lines, so
-that sums over terms are SIMD loops of a fixed length without stores. A wavelength's basis (2πκa)ⁿ/n! is a row of a
-table times powers of w taken once a direction. Where the neighbours lie and where their separable Gaussians begin is
-found for all wavelengths at once; within the square weights go by recurrence. Amplitudes are weighted and summed before
-they meet the basis. Coefficients are asked for some wavelengths ahead, or half of the time would be waiting for them.
+The implementation is fast for these reasons. A coefficient is two vectors of floats (real and imaginary parts), padded
+to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis (2πκa)ⁿ/n! of a wavelength is a
+row of a table times powers of w, which are computed once per direction. Positions of the neighbours and start values of
+their Gaussians are computed for all wavelengths at once, and weights within a square by recurrence. Amplitudes are
+weighted and summed before multiplication by the basis. Coefficients are prefetched some wavelengths ahead, because half
+of the time would otherwise be waiting.
 """
 
 from __future__ import annotations
@@ -35,25 +37,25 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Floats of a cache line, which is also what a register of AVX-512 holds.
+# Number of floats per cache line, which is also the width of an AVX-512 register.
 LANES = 16
-# Where float32's exponential ends.
+# Smallest exponent whose exponential is a normal float32. Derived: ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
-# Directions that share scratch memory, and are one thread's.
+# Number of directions per slice, which share temporary memory and one thread. Limit: balance between threads.
 SLICE = 16
-# Wavelengths by which a coefficient is asked for before its use.
+# Number of wavelengths by which coefficients are prefetched ahead of their use. Limit: latency of the memory.
 AHEAD = 4
-# Its squares begin at 3 × 3.
+# Settings of this peer, whose squares have at least 3 × 3 coefficients.
 SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"] > 0]
 
 
 def available() -> str | None:
-    """None: importing this module requires Numba."""
+    """Return None, because importing this module already requires Numba."""
     return None
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions: ``shade(scattering_vectors, gains, threads)`` to XYZ (n, 3)."""
+    """Return a function ``shade(scattering_vectors, gains, threads)`` that returns XYZ (n, 3) of directions."""
     made = series.series(heightfield, coherence, **setting)
     across, along = map(np.float32, made.falloff)
     if -max(across, along) * (made.neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
@@ -77,7 +79,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
+    """Return rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows
@@ -85,7 +87,7 @@ def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np
 
 
 def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Zeros that begin on a cache line's border, or every register would be loaded from two of them."""
+    """Return an array of zeros that starts at a cache line, so that each register is loaded from only one line."""
     count = math.prod(shape)
     memory = np.zeros(count + LANES, dtype=np.float32)
     first = -memory.ctypes.data // 4 % LANES
@@ -94,7 +96,7 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 @numba.extending.intrinsic
 def _prefetch(_context, rows, row, part, lane):
-    """Ask for the cache line of ``rows[row, part, lane]`` ahead of its use."""
+    """Prefetch the cache line of ``rows[row, part, lane]`` before its use."""
 
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]
@@ -116,7 +118,7 @@ def _prefetch(_context, rows, row, part, lane):
 
 @numba.njit(fastmath=True)
 def _exp(x):
-    """e^x for |x| < 87, to 1e-7 · (1 + |x|): a call of the library's would keep loops from SIMD."""
+    """Return e^x for |x| < 87 with an error of 1e-7 · (1 + |x|). A library call would prevent SIMD loops."""
     turns = x * np.float32(1.4426950408889634)
     integer = np.floor(turns + np.float32(0.5))
     part = (turns - integer) * np.float32(0.6931471805599453)
@@ -128,16 +130,16 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """The kernel for one shape of the sum, whose loops have fixed lengths."""
+    """Return the compiled kernel for one number of terms and neighbours. Its loops have fixed lengths."""
     side = 2 * neighbour_extent + 1
-    # Neighbours go three at a time: a loop of a shorter body would be unrolled before it could become SIMD. What is
-    # left of the last three has the weight 0.
+    # Three neighbours are processed at a time. A loop with a shorter body would be unrolled before it could be
+    # vectorised. Unused entries of the last three have the weight 0.
     triples = math.ceil(side * side / 3)
     zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(neighbour_extent)
 
     @numba.njit(fastmath=True, forceinline=True)
     def sum_of_powers(rows, at, weights, factors, w_powers):
-        """Σ weight · |coefficient|²."""
+        """Return Σ weight · |coefficient|²."""
         total = zero
         for t in range(0, 3 * triples, 3):
             re_0 = im_0 = re_1 = im_1 = re_2 = im_2 = zero
@@ -156,7 +158,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(fastmath=True, forceinline=True)
     def power_of_sum(rows, at, weights, factors, w_powers):
-        """|Σ weight · coefficient|²."""
+        """Return |Σ weight · coefficient|²."""
         re = im = zero
         for t in range(0, 3 * triples, 3):
             for n in range(lanes):
@@ -196,7 +198,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
                 for n in range(lanes):
                     w_powers[n] = power
                     power *= w
-                # Where the neighbours lie and what they weigh, SIMD over wavelengths.
+                # Positions and weights of the neighbours are computed by SIMD over wavelengths.
                 for k in range(wavelengths):
                     qy = v * wavenumbers[k]
                     qx = u * wavenumbers[k]

@@ -1,7 +1,8 @@
-"""The published algorithm in plain NumPy.
+"""The published algorithm in NumPy.
 
-Arrays are vectorised over directions and neighbours; wavelengths are a loop. Directions go in chunks, large enough that
-the interpreter's time is small compared with NumPy's. Threads run in parallel, as NumPy releases the lock.
+Operations are vectorised over directions and neighbours, with a loop over wavelengths. Directions are evaluated in
+chunks, large enough that NumPy's time dominates that of the interpreter. Threads run in parallel, because NumPy
+releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -22,25 +23,26 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of directions that a thread evaluates at once.
+# Number of directions that a thread evaluates at once. Limit: caches for larger arrays, the interpreter for smaller
+# ones.
 CHUNK = 512
 
 
 def available() -> str | None:
-    """None: NumPy is always available."""
+    """Return None, because NumPy is always available."""
     return None
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions at one setting of :func:`peers.series.series`.
+    """Return a function that shades directions at one setting of :func:`bench.peers.series.series`.
 
     Args:
-        heightfield: The height field.
-        coherence: A window, averaged or centred.
+        heightfield: Height field.
+        coherence: An averaged or centred window.
         setting: One of ``SETTINGS``.
 
     Returns:
-        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+        A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3).
     """
     made = series(heightfield, coherence, **setting)
 
@@ -59,9 +61,9 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
-    """XYZ of few directions without their gains."""
+    """Return XYZ of one chunk of directions, without gains."""
     terms = made.rows.shape[2]
-    # Shapes below are (directions, wavelengths, neighbours), the last along one axis.
+    # Arrays in this function have the shape (directions, wavelengths, neighbours along one axis).
     offsets = np.arange(-made.neighbour_extent, made.neighbour_extent + 1, dtype=np.float32)
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):

@@ -1,9 +1,10 @@
 """Camera rays of a picture by Mitsuba 3, Embree and warpdiff: rays per second, hits and normals.
 
-All trace the same mesh, in the units of a prepared surface, along the same rays. They find the bare hit (face and
-barycentric coordinates), warpdiff face by face the whole G-buffer. Mitsuba's LLVM variant traces by Embree as well, in
-packets; embreex hands Embree one ray after the other and releases the interpreter's lock, so that slices of
-the rays run side by side on threads. The truth is every ray against every triangle, in float64.
+All programs trace the same rays to the same mesh, in the units of a prepared surface. They compute bare hits (face and
+barycentric coordinates), except for warpdiff's rasterization, which fills the whole G-buffer. Mitsuba's LLVM variant
+also uses Embree, with packets of rays. The package embreex passes single rays to Embree and releases the interpreter's
+lock, so that slices of the rays run on several threads. The reference tests every ray against every triangle in
+float64.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ if TYPE_CHECKING:
 
 wp.set_module_options(compile_options.options())
 
-# Cosines below this are tilted towards the viewer by ours.
+# Least cosine of normals that are compared. Limit: warpdiff rotates normals with cosines below 0.01 towards the viewer.
 LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """Rays of a picture that start near the mesh, and the mesh; shapes (n, 3)."""
+    """Rays of a picture, which start near the mesh, shapes (n, 3), with the mesh and the view."""
 
     surface: Surface
     view: wd.View
@@ -46,21 +47,24 @@ class Rays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """Rays (n,) that hit the mesh, and the interpolated unit normals at the hits, of either side, shape (n, 3)."""
+    """Mask (n,) of rays that hit the mesh, and interpolated unit normals of the hits, of either side, shape (n, 3)."""
 
     hit: NDArray[np.bool_]
     normal: NDArray[np.float64]
 
 
 class Caster(NamedTuple):
-    """A way to trace all rays: a function that traces with some threads, and its last hits."""
+    """A program that traces rays.
+
+    ``trace`` traces all rays with a number of threads, and ``hits`` returns the hits of its last call.
+    """
 
     trace: Callable[[int], None]
     hits: Callable[[], Hits]
 
 
 def missing() -> list[str]:
-    """Return the reasons why casters are excluded, one sentence each."""
+    """Return the reasons why programs are excluded, one sentence each."""
     reasons = []
     try:
         import embreex  # noqa: F401
@@ -77,7 +81,7 @@ def missing() -> list[str]:
 
 
 def rays_of(mesh: Any, view: wd.View) -> Rays:
-    """Return one ray through the centre of each pixel; its start near the mesh is computed in float64."""
+    """Return one ray through the centre of each pixel. Its start point near the mesh is computed in float64."""
     surface = prepare_surface(mesh)
     eye = np.asarray(view.eye, dtype=np.float64)
     size = {"width": view.width, "height": view.height, "fov_y_deg": view.fov_y_deg}
@@ -89,7 +93,7 @@ def rays_of(mesh: Any, view: wd.View) -> Rays:
 
 
 def casters(rays: Rays) -> dict[str, Caster]:
-    """Return the casters that can run, by name."""
+    """Return the available programs by name."""
     result = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, face by face": _faces(rays)}
     absent = " ".join(missing())
     if "Mitsuba" not in absent:
@@ -100,7 +104,10 @@ def casters(rays: Rays) -> dict[str, Caster]:
 
 
 def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_]]:
-    """Return the exact hits of some rays, and a mask of reliable rays, which neither pass an edge nor graze."""
+    """Return the reference hits of some rays, and a mask of reliable rays.
+
+    A reliable ray neither passes near an edge nor grazes a face.
+    """
     surface = rays.surface
     origins, directions = (np.float64(vectors[chosen]) for vectors in (rays.origins, rays.directions))
     vertices = surface.vertices.astype(np.float64)
@@ -112,7 +119,7 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
-    """Unit normals of faces (n,), −1 for none, at barycentric coordinates (n, 3), in float64."""
+    """Return interpolated unit normals of faces (n,) at barycentric coordinates (n, 3), in float64; −1 is no face."""
     normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
@@ -124,7 +131,7 @@ def query(
     # Out:
     face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
 ):  # fmt: skip
-    """The bare hit of each ray: the face, or −1, and the shares of its first two corners."""
+    """Find the hit of each ray: the face, or −1, and the barycentric coordinates of its first two corners."""
     i = first + wp.tid()
     hit = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
     face_out[i] = -1
@@ -160,7 +167,7 @@ def _faces(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = pixels.hit.numpy() == 1
-        # Where nothing is met, normals are whatever was there.
+        # Normals of pixels without a hit are arbitrary, and are replaced by 0.
         return Hits(hit, np.where(hit[:, None], pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster(trace, hits)
@@ -192,7 +199,7 @@ def _mitsuba(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = last[0].is_valid().numpy()
-        # Mitsuba's coordinates are those of the second and third corner.
+        # Mitsuba's barycentric coordinates belong to the second and third corner.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
         return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))

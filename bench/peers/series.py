@@ -1,8 +1,8 @@
 """Taylor series of Fourier coefficients and a quadrature in λ, shared by the peers of the published algorithm.
 
-The sum is the one of ``numba_published`` (Single 2014, eqs. 3.8, 3.20 and 3.24), whatever computes it: at wavelengths
-equally spaced in λ, the series at a square of coefficients around (u, v)/λ, weighted by a Gaussian, and a rectangle
-rule.
+All peers compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are equally spaced in λ. At each
+wavelength the series is evaluated at a square of coefficients around (u, v)/λ, weighted by a Gaussian. The integral
+over λ is a rectangle rule.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)| / λ [1/µm]: both directions at the horizon, at 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Limit of ``neighbour_extent``, in coefficients to each side; larger ones are refused.
+# Largest accepted ``neighbour_extent``, in coefficients to each side. Limit: margin of the stored coefficients.
 MOST_REACH = 4
 
-# As published (Single 2014): 81 wavelengths, n = 0 … 36, 3 × 3 by floor(), heights unchanged.
+# Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, 3 × 3 coefficients by floor(), heights not centred.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
-# From cheap to accurate, centred and rounded, which is the cheapest way to any error. The nearest coefficient alone is
-# enough of patches that are small against the window.
+# Settings from cheap to accurate: wavelengths, terms, neighbour extent. Heights are centred and positions rounded,
+# which gives any error at the lowest cost. For patches that are small compared with the window, the nearest coefficient
+# is sufficient.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
     {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
@@ -42,20 +43,20 @@ SETTINGS: list[dict[str, Any]] = [
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A height field's series at one setting.
+    """Series of a height field at one setting.
 
     Attributes:
-        rows: Real parts of iⁿ DFT{gⁿ} for all n, then the imaginary ones, shape (my·mx, 2, terms).
-        columns: The mx.
-        origin: Where the order (0, 0) lies (y, x).
-        lengths_um: Coefficients per unit of frequency (y, x) [µm].
-        falloff: The Gaussian's exponents per square of a coefficient's distance (y, x).
-        factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is that times wⁿ.
+        rows: Real parts of iⁿ DFT{gⁿ} for all n, then the imaginary parts, shape (my·mx, 2, terms).
+        columns: Number mx of columns of coefficients.
+        origin: Index of the order (0, 0), (y, x).
+        lengths_um: Number of coefficients per unit of frequency (y, x) [µm].
+        falloff: Exponents of the Gaussian per squared distance in coefficients (y, x).
+        factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is their product with wⁿ.
         wavenumbers: 1/λ [1/µm], shape (m,).
-        colours: What a wavelength adds to XYZ, shape (m, 3).
-        neighbour_extent: Neighbours on either side.
-        shift: What is added before floor(): 0.5 rounds.
-        powers: Whether coefficients add as powers (averaged) or as amplitudes (centred).
+        colours: Contribution of each wavelength to XYZ, shape (m, 3).
+        neighbour_extent: Number of neighbours on either side.
+        shift: Number that is added before floor(); 0.5 rounds.
+        powers: Whether coefficients are summed as powers (averaged) or as amplitudes (centred).
     """
 
     rows: NDArray[np.float32]
@@ -78,13 +79,13 @@ def series(
     """Transform a height field for one setting.
 
     Args:
-        heightfield: The height field.
-        coherence: A window, averaged or centred.
-        wavelengths: Number of wavelengths, 380 to 780 nm.
-        terms: Terms of the Taylor series, n = 0 … terms − 1.
-        neighbour_extent: Neighbours on either side of the nearest coefficient, 0 to 4.
-        rounded: Whether the nearest coefficient is found by rounding instead of floor().
-        centred: Whether heights count from the middle of their range; otherwise from the lowest.
+        heightfield: Height field.
+        coherence: An averaged or centred window.
+        wavelengths: Number of wavelengths between 380 and 780 nm.
+        terms: Number of terms of the Taylor series, n = 0 … terms − 1.
+        neighbour_extent: Number of neighbours on either side of the nearest coefficient, 0 to 4.
+        rounded: Whether rounding finds the nearest coefficient, instead of floor().
+        centred: Whether heights are relative to the middle of their range, instead of the lowest height.
 
     Returns:
         The series.
@@ -112,14 +113,18 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """The rows, which coefficients they are, how many there are per unit of frequency [µm], and the basis' 2πa [µm]."""
+    """Return the rows of a series and their properties.
+
+    The properties are the block of coefficients, the number of coefficients per unit of frequency (y, x) [µm], and the
+    scale 2πa of the basis [µm].
+    """
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
     if any(count == period for count, period in zip(block.count, block.shape, strict=True)):
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # A centred window lies at the patch's centre; powers do not see this phase.
+    # A centred window lies at the centre of the patch, which changes the phases. Powers do not depend on these phases.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

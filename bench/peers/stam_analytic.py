@@ -1,17 +1,19 @@
-"""The analytic diffraction shader of a regular grating: every order is a line at nλ = d|u|.
+"""The analytic diffraction shader of a regular grating, in which every order is a line at nλ = d|u|.
 
-Stam, *Simulating Diffraction*, GPU Gems (2004), chapter 8, whose model is that of tracks at a distance d: of light with
-the deflection u across them, only the wavelengths d|u|/n are reflected, n = 1 … 7. It has two forms here.
+The model of Stam, *Simulating Diffraction*, GPU Gems (2004), chapter 8, has parallel tracks at a distance d. For a
+component u of the scattering vector across the tracks, only the wavelengths d|u|/n are reflected, n = 1 … 7. The module
+has two forms.
 
-- ``"rainbow"``, as published: orders of equal strength whatever v is, wavelengths of 0.5 to 1 µm coloured by three
-  parabolas, max(0, 1 − x²), and a white highlight exp(−(r u/w)²). The chapter leaves the brightness and r to the
-  artist: here the orders have the mean luminance of the true colours of random directions, and the highlight has the
-  window's width.
-- ``"cie"``, the same lines with what the chapter leaves out: the power |H_n0|² of each order, from the heights, the
-  window's Gaussian across, integrated along, CIE colours, and the gains.
+- ``"rainbow"`` is the published form. Orders have equal strength for all v. Wavelengths from 0.5 to 1 µm are coloured
+  by three parabolas, max(0, 1 − x²). A white highlight is exp(−(r u/w)²). The chapter does not define the brightness
+  and r: here the orders have the mean luminance of the exact colours of random directions, and the highlight has the
+  width of the window.
+- ``"cie"`` has the same lines and adds the omitted factors: the power |H_n0|² of each order, from the heights; the
+  Gaussian of the window across the line, integrated along it; CIE colours; and the gains.
 
-With q = u/λ a line's share of the integral over λ is |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²): the averaged window's
-Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0, which no delta makes, is summed at eight wavelengths.
+With q = u/λ, the contribution of a line to the integral over λ is |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²). It follows
+from the averaged window's Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0 is not a line and is summed
+at eight wavelengths.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ import warpdiff as wd
 from warpdiff.optics import colorimetry
 
 try:
-    # Before colour-science, which puts a stand-in where SciPy is absent that Numba takes for it.
+    # Numba must be imported before colour-science. Without SciPy, colour-science installs a substitute for it that
+    # Numba would use.
     import numba
 except ImportError:
     numba = None
@@ -39,23 +42,27 @@ if TYPE_CHECKING:
 SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
 # Number of diffraction orders to each side.
 ORDERS = 7
-# Wavelengths of the order 0, and nodes of an order's power in κ = w/λ.
+# Number of wavelengths for the order 0, and number of tabulated values of an order's power in κ = w/λ.
 MIRROR_WAVELENGTHS, NODES = 8, 128
-# Largest |w| / λ, in 1/µm, at the shortest wavelength of 0.38 µm.
+# Largest |w| / λ [1/µm], at the shortest wavelength of 0.38 µm.
 LARGEST_KAPPA = 2.0 / 0.38
-# Where the parabolas stand on 2λ − 1, λ [µm], and how narrow they are.
+# Centres of the red, green and blue parabolas in 2λ − 1 (λ in µm), and their inverse half-width. Origin: Stam's
+# chapter.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
-# Number of random directions that calibrate the brightness.
+# Number of random directions that calibrate the brightness. Limit: noise of the mean luminance.
 CALIBRATING = 2000
 
 
 def available() -> str | None:
-    """None, or why the shader cannot run."""
+    """Return None, or the reason why the shader cannot run."""
     return None if numba else "Numba, which compiles the analytic shader, is not installed: pip install numba"
 
 
 def grating_um(heightfield: wd.HeightField) -> float:
-    """Grating period d along x [µm]: that of the strongest order, with the 1/f noise of scans compensated."""
+    """Return the grating period d along x [µm], from the strongest order.
+
+    The 1/f noise of scans is compensated.
+    """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
 
@@ -66,13 +73,13 @@ def prepare(
     """Return a function that shades directions.
 
     Args:
-        heightfield: The height field, a grating along x.
+        heightfield: Height field of a grating along x.
         coherence: An averaged window.
         colours: ``"rainbow"`` or ``"cie"``.
-        period_um: The distance d [µm]; None takes :func:`grating_um`.
+        period_um: Distance d of the tracks [µm]; None means the result of :func:`grating_um`.
 
     Returns:
-        ``shade(scattering_vectors, gains, threads)``: (n, 3), (n,) and a number to XYZ (n, 3).
+        A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3).
     """
     if coherence.kind != "averaged" or coherence.sigma_um is None:
         raise ValueError(f"coherence must be an averaged window, got {coherence}")
@@ -81,7 +88,7 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # exp(−(r u/w)²) at w = 2 is the window's Gaussian at 550 nm.
+        # At w = 2, the highlight exp(−(r u/w)²) is the window's Gaussian at 550 nm.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)
@@ -102,9 +109,9 @@ def prepare(
 
 
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
-    """|H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
+    """Return |H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
 
-    The frequency n/d need not be one of the patch's: then it is the power at the nearest.
+    If n/d is no frequency of the patch, the power is that at the nearest frequency.
     """
     orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))
@@ -115,7 +122,7 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 
 
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
-    """Factor that gives the rainbow's orders the mean luminance of the exact colours, without highlights."""
+    """Return the factor that gives the rainbow's orders the mean luminance of the exact colours, without highlights."""
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
     s = np.sqrt(1.0 - z * z)
@@ -128,7 +135,7 @@ def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Calla
 
 @functools.cache
 def _kernels() -> tuple[Any, Any]:
-    """The two forms, compiled where they are first used."""
+    """Return the compiled functions of the two forms."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def rainbow(period, roughness, to_xyz, scale, scattering_vectors, gains, xyz_out):
@@ -136,7 +143,7 @@ def _kernels() -> tuple[Any, Any]:
             u, w = abs(scattering_vectors[i, 0]), scattering_vectors[i, 2]
             red = green = blue = 0.0
             for n in range(1, ORDERS + 1):
-                # Wavelengths of 0.5 to 1 µm as 0 to 1.
+                # Wavelengths from 0.5 to 1 µm are mapped to 0 to 1.
                 at = 2.0 * period * u / n - 1.0
                 red += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[0])) ** 2)
                 green += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[1])) ** 2)
@@ -168,7 +175,7 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # In nm, as the products are.
+                # The weight of an order in the integral over λ is in nm, like the steps of the colour products.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

@@ -1,8 +1,8 @@
 """Cold start: time of a new process to import the package, and to its first picture.
 
-A process imports the package, makes synthetic fingers of 25.6 µm and a tube, shades and saves 640 × 480 pixels, and
-ends. Processes with an empty folder of compiled kernels are interleaved with processes that find it filled. Plotting
-libraries are hidden, because colour-science imports them if they are installed.
+A process imports the package, makes synthetic fingers of 25.6 µm and a tube, renders and saves a picture of 640 × 480
+pixels, and ends. Processes with an empty kernel cache and with a filled one alternate. Plotting libraries are hidden,
+because colour-science would import them if they are installed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
     "first picture, kernels compiled before": PICTURE,
 }  # fmt: skip
-# Libraries alone require about 240 MiB.
+# Program that times the preparation of a scan and prints its peak memory. The libraries alone require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -46,7 +46,7 @@ PRECOMPUTE = HIDE + (
 
 
 def precompute(scan: Path) -> None:
-    """Print the preparation time of a scan, in a process that finds its kernels compiled."""
+    """Print the preparation time and peak memory of a scan, in a process whose kernels are already compiled."""
     print("\n| scan | s | peak memory [MiB] |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
@@ -56,7 +56,10 @@ def precompute(scan: Path) -> None:
 
 
 def seconds(code: str, cache: Path) -> tuple[float, float]:
-    """Return the time from the start of a process to its result, or its end if it prints none, and to its end."""
+    """Return the times [s] from the start of a process to its result and to its end.
+
+    If the process prints no result, both are the time to its end.
+    """
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}
     result = subprocess.check_output([sys.executable, "-c", code, str(cache)], env=environment, text=True)
@@ -65,9 +68,9 @@ def seconds(code: str, cache: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Time all kinds of processes."""
+    """Time all kinds of processes and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scan", type=Path, help="scan of 1332 × 1332 samples, whose preparation is timed")
+    parser.add_argument("--scan", type=Path, help="file of a scan with 1332 × 1332 samples to time")
     options = parser.parse_args()
     times: dict[str, list[tuple[float, float]]] = {}
     for _ in range(ROUNDS):
@@ -75,7 +78,7 @@ def main() -> None:
             cache = Path(folder)
             for name, code in PROCESSES.items():
                 times.setdefault(name, []).append(seconds(code, cache))
-    print("| process | s, median | least | most | to the end of the process |\n| --- | --- | --- | --- | --- |")
+    print("| process | time [s], median | least | most | to the end of the process |\n| --- | --- | --- | --- | --- |")
     for name, pairs in times.items():
         there, ended = zip(*pairs, strict=True)
         print(f"| {name} | {np.median(there):.2f} | {min(there):.2f} | {max(there):.2f} | {np.median(ended):.2f} |")

@@ -1,10 +1,10 @@
-"""Errors of pictures: crops of many subjects, against a regular grid of points in every pixel, under the filter.
+"""Errors of pictures, on crops of many bodies, against a regular grid of points per pixel under the pixel filter.
 
-A crop has 24 × 18 pixels of the size of those of a 640 × 480 picture, around a random illuminated pixel. Its reference
-is a picture of points, 96 × 96 per pixel, under the pixels' Gaussian filter (σ 0.5 pixel, truncated at 1.5); a coarser
-one shows whether it has converged. Errors use f of the whole picture. They are taken over interior pixels, whose points
-all hit the body and are illuminated; edges between parts of a body are included. The outermost pixels count like all
-others. Use a held-out seed.
+A crop has 24 × 18 pixels with the pixel size of a 640 × 480 picture, around a random illuminated pixel. Its reference
+is a picture of points, 96 × 96 per pixel, under the Gaussian pixel filter (σ = 0.5 pixels, truncated at 1.5). A coarser
+reference shows whether it has converged. The floor f of errors is that of the whole picture. Errors are evaluated on
+interior pixels, whose points all hit the body and are illuminated. Edges between parts of a body are included, and so
+are the outermost pixels. Use a held-out seed.
 """
 
 from __future__ import annotations
@@ -32,54 +32,57 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# Size of a crop, and of the margin that the filter of its outermost pixels covers.
+# Size of a crop, and width of the margin for the filter of its outermost pixels [pixels].
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
+# Size of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
-# Points along a side of a pixel: of the reference, and of the coarser one that shows whether it has converged.
+# Number of points along each axis of a pixel: of the reference, and of the coarser reference that checks its
+# convergence.
 POINTS, FEWER = 96, 64
+# Standard deviation and truncation of the pixel filter [pixels].
 DEVIATION, CUT = 0.5, 1.5
-# Tolerance of the reference's points, in tolerances of the picture.
+# Tolerance of the reference's points, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
-# Directions to the eye, from above and grazing, and its distance in radii of the body.
+# Directions to the eye, from above and grazing, with the field of view [degrees] and the distance [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
-# The share of pixels of the whole picture that may clip where colours are compared.
+# Share of the pixels of the whole picture that may clip where colours are compared.
 CLIPPED = 1e-3
-# Factors on the distance of the eye from the crop.
+# Factors that multiply the distance between the eye and the crop.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
 class Crop(NamedTuple):
-    """A few pixels of a picture."""
+    """A crop: a few pixels of a picture, with its scene."""
 
     name: str
     mesh: Any
     heightfield: wd.HeightField
     light: wd.DirectionalLight
     view: wd.View
-    white: float  # Y* of the whole picture
-    brightest: float  # Y that a thousandth of its pixels exceed, for the exposure of colour differences
+    white: float  # reference luminance Y* of the whole picture
+    brightest: float  # Y exceeded by 0.1 % of the picture's pixels, for the exposure of colour differences
 
 
 class Truth(NamedTuple):
-    """Reference of the pixels of a crop; all arrays of shape (HEIGHT, WIDTH)."""
+    """Reference of the pixels of a crop, all arrays with the shape (HEIGHT, WIDTH)."""
 
-    xyz: np.ndarray  # (…, 3)
+    xyz: np.ndarray  # (HEIGHT, WIDTH, 3)
     interior: np.ndarray
-    silhouette: np.ndarray  # some points of its own square miss
-    shadowed: np.ndarray  # all points hit, some are illuminated
+    silhouette: np.ndarray  # whether some but not all points hit the mesh
+    shadowed: np.ndarray  # whether all points hit and some but not all are illuminated
     settled: np.ndarray  # difference from the coarser reference, ‖ΔXYZ‖
 
 
 class Errors(NamedTuple):
-    """Errors of pixels."""
+    """Errors of the pixels of a crop, by kind of pixel."""
 
     interior: np.ndarray
     silhouette: np.ndarray
     shadowed: np.ndarray
-    settled: np.ndarray  # of interior ones
-    estimated: np.ndarray  # of interior ones, from ``image.error``
+    settled: np.ndarray  # convergence of the reference, of interior pixels
+    estimated: np.ndarray  # estimated errors of interior pixels, from ``image.error``
 
 
 def bodies(data: str | None) -> dict[str, Callable[[], Any]]:
@@ -95,7 +98,7 @@ def bodies(data: str | None) -> dict[str, Callable[[], Any]]:
 
 
 def lumpy(subdivisions: int) -> Any:
-    """Return a ball with lumps, of 20 · 4ⁿ faces."""
+    """Return a ball with lumps and 20 · 4ⁿ faces."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y) + 0.08 * np.cos(6.0 * z))[:, None]
@@ -103,7 +106,10 @@ def lumpy(subdivisions: int) -> Any:
 
 
 def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
-    """A mesh with texture coordinates whose u goes around: faces across the seam get corners of their own."""
+    """Return a mesh with texture coordinates, where u runs around the axis.
+
+    Faces across the seam get separate corners.
+    """
     faces, vertices = np.array(mesh.faces), np.asarray(mesh.vertices)
     across = np.ptp(uv[faces, 0], axis=1) > 0.5
     beyond = across[:, None] & (uv[faces, 0] < 0.5)
@@ -128,7 +134,7 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """Return a crop around an illuminated pixel of a picture whose luminance is at least a share of the white."""
+    """Return a crop around a random illuminated pixel whose luminance is at least ``least`` times that of the white."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -138,7 +144,7 @@ def crop(
     image = wd.shade(mesh, heightfield, light, view, tolerance=0.1, pigment=0.0)
     luminance = image.xyz[..., 1].astype(np.float64)
     white, brightest = reference_luminance(luminance[image.illuminated]), float(np.quantile(luminance, 1.0 - CLIPPED))
-    # Rays through the centres of pixels that are covered in part may miss the body.
+    # Only completely covered pixels are chosen, because the centre ray of a partly covered pixel may miss the body.
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
@@ -152,13 +158,13 @@ def crop(
 
 
 def truth(area: Crop, tolerance: float) -> Truth:
-    """Return the reference of a crop."""
+    """Return the reference of a crop, with its difference from a coarser reference."""
     fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
     return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return the reference by a number of points along a side of a pixel."""
+    """Return the reference of a crop from ``points`` × ``points`` points per pixel."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
@@ -180,7 +186,7 @@ def filtered(area: Crop, tolerance: float, points: int) -> Truth:
 
 
 def _filter(size: int, points: int) -> np.ndarray:
-    """Weights of points along a side, (size, (size + 2 MARGIN) · points), that sum to 1."""
+    """Return the weights of points along an axis, (size, (size + 2 MARGIN) · points), which sum to 1 per pixel."""
     places = (np.arange((size + 2 * MARGIN) * points) + 0.5) / points
     away = places - (np.arange(size)[:, None] + MARGIN + 0.5)
     weights = np.where(np.abs(away) <= CUT, np.exp(-0.5 * (away / DEVIATION) ** 2), 0.0)
@@ -192,7 +198,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # The estimated error is relative to the crop's own white.
+    # The estimated error is relative to the crop's own reference luminance.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
@@ -203,7 +209,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
-    """A crop of each body with each surface at each distance."""
+    """Yield a crop of each body with each surface at each distance."""
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():
@@ -214,7 +220,7 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
 
 
 def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
-    """Return a picture of a crop's scene, and whether it warns."""
+    """Return a picture of a crop's scene, and whether rendering warned."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         image = wd.shade(
@@ -224,7 +230,7 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
 
 
 def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
-    """Print which whole pictures around crops warn."""
+    """Print for whole pictures around crops whether they warn."""
     print("| body | surface | distance | tolerance | unconverged | at edges | warns |\n" + "| --- " * 7 + "|")
     warned: list[bool] = []
     for area in crops(names, fields, seed):
@@ -240,14 +246,16 @@ def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, toler
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table of errors."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bodies", nargs="+", help="only these bodies, by name")
-    parser.add_argument("--surfaces", nargs="+", help="only these surfaces, by name")
+    parser.add_argument("--bodies", nargs="+", help="use only these bodies")
+    parser.add_argument("--surfaces", nargs="+", help="use only these surfaces")
     parser.add_argument("--tolerances", nargs="+", type=float, default=[1e-1, 3e-2])
-    parser.add_argument("--samples", nargs="+", type=int, default=[1, 4, 9], help="camera rays per pixel (1 4 9)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the crops' positions (0)")
-    parser.add_argument("--whole", action="store_true", help="list which whole pictures around crops warn")
+    parser.add_argument(
+        "--samples", nargs="+", type=int, default=[1, 4, 9], help="camera rays per pixel (default: 1 4 9)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the crops' positions (default: 0)")
+    parser.add_argument("--whole", action="store_true", help="list instead which whole pictures around crops warn")
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     names, fields = bodies(options.data), surfaces(options.data)
@@ -290,7 +298,7 @@ def main() -> None:
 
 
 def _estimates(errors: Errors) -> str:
-    """Compare estimated errors: the share that is bounded, and the ratio of sums."""
+    """Return a text that compares estimated with actual errors: share of bounded errors, and ratio of sums."""
     actual, estimated = errors.interior, errors.estimated
     bounded = 100.0 * np.mean(actual <= estimated) if len(actual) else math.nan
     return f"{bounded:.0f} % | {estimated.sum() / max(actual.sum(), 1e-30):.1f}"

@@ -1,8 +1,8 @@
-"""Disc lights and environments: pictures against sums over directions, with shadows.
+"""Errors of pictures under disc lights and environments, against sums over directions with shadows.
 
-``--sizes`` compares disc lights in random cases with sums over points of their discs, and ``--skies`` environments with
-sums over directions, which share no code with them (``bench/truth/sky_sums.py``).
-``--picture`` saves the README's snake under a sky.
+``--sizes`` compares disc lights in random cases with sums over points of their discs. ``--skies`` compares environments
+with sums over directions. The sums share no code with the library's lights (``bench/truth/sky_sums.py``). ``--picture``
+saves the README's picture of a snake under a sky.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from bench.truth.sky_sums import SkySums
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+# Angular diameters of the disc lights [degrees].
 DIAMETERS = (1.0, 5.0, 10.0, 20.0, 60.0)
 COLUMNS = (
     "| {} | body, surface | pixels | by | median | P90 | P99 | estimated | reported | frame |\n" + 10 * "| --- " + "|"
@@ -32,7 +33,7 @@ COLUMNS = (
 
 
 def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth_deg: float = 1.0) -> np.ndarray:
-    """Return a clear sky, whiter and brighter towards the horizon, over dark ground, with a sun of a given power."""
+    """Return a clear sky above dark ground, brighter towards the horizon, with a sun of the power ``sun``."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     up = np.maximum(np.cos(polar), 0.0)[:, None, None]
     colour = np.array([0.25, 0.45, 1.0]) + (np.array([0.9, 0.95, 1.0]) - [0.25, 0.45, 1.0]) * (1.0 - up) ** 3
@@ -44,7 +45,7 @@ def sky(sun: float = 0.0, height: int = 64, elevation_deg: float = 55.0, azimuth
 
 
 def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Return a random grey sky: with a low or a high sun, a room with a window, or overcast with a gradient."""
+    """Return a random grey environment: a sky with a low or a high sun, a room with a window, or an overcast sky."""
     height = 128
     azimuth_deg = rng.uniform(-180.0, 180.0)
     if kind in ("low sun", "high sun"):
@@ -63,7 +64,7 @@ def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
-    """Yield name, sky, mesh, height field, view and the σ of the window [µm] of random cases."""
+    """Yield random cases: name, sky, mesh, height field, view and σ of the window [µm]."""
     rng = np.random.default_rng(seed)
     scan = inputs.levelled_scan()
     bodies: dict[str, Callable[[], Any]] = {
@@ -98,22 +99,25 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours (n, 3) as for ``tolerance``; ``bright`` is the 99th percentile of the picture's Y."""
+    """Return errors of colours (n, 3) as defined for ``tolerance``.
+
+    ``bright`` is the 99th percentile of the picture's Y.
+    """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
 
 
 def percentiles(errors: np.ndarray, between: str = " | ") -> str:
-    """Return the median and the 90th and 99th percentiles as text."""
+    """Return a text with the median and the 90th and 99th percentiles of errors."""
     return between.join(f"{100.0 * value:.1f} %" for value in np.percentile(errors, [50.0, 90.0, 99.0]))
 
 
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of disc lights ("light") or environments ("sky") in random cases against sums over directions.
+    """Print the errors of disc lights ("light") or environments ("sky") in random cases, against sums over directions.
 
-    There are (32 ``across``)² rays per pixel or more. Further columns are the error of the sums, ``image.error`` at the
-    same percentiles, the number of pixels beyond the tolerance for which ``image.error`` exceeds it, too, and the time
-    of a frame.
+    The sums have at least (32 ``across``)² rays per pixel. Further columns are the error of the sums, ``image.error``
+    at the same percentiles, and the time of a frame. One column has the number of pixels beyond the tolerance, and how
+    many of these ``image.error`` reports.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))
@@ -127,7 +131,7 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
             summed = functools.partial(sums.under_sky, sky=grey)
             _judge(name, inside, summed, 32 * across, seed, tolerances, options=options)
             continue
-        # Light from near the eye, or from the side.
+        # The light comes from near the eye or from the side.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]
@@ -140,14 +144,14 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print the errors of pictures with ``options`` against converged sums, and their estimates."""
+    """Print the errors of pictures with ``options`` against converged sums, and their estimated errors."""
     if not len(chosen):
-        print(f"| {name} | 0 | no pixel lies within the mesh |" + " |" * 6)
+        print(f"| {name} | 0 | no pixel is completely covered by the mesh |" + " |" * 6)
         return
     exact, spread, rays = converged_means(summed, chosen, across, seed, min(tolerances) / 3.0)
     converged = (spread <= min(tolerances) / 3.0) & (exact[:, 1] > 0.0)
     note = (
-        f"sums by at least {rays:,} rays; {np.count_nonzero(~converged)} do not converge or are black, and are excluded"
+        f"sums of at least {rays:,} rays; {np.count_nonzero(~converged)} pixels are black or not converged (excluded)"
     )
     print(f"| {name} | {len(chosen)} | {note} | {percentiles(spread)} | | | |", flush=True)
     if not converged.any():
@@ -156,24 +160,24 @@ def _judge(
     for tolerance in tolerances:
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
-        took = time.perf_counter() - begin
-        # The chosen pixels may all be darker than the luminance that the picture's tolerance is relative to.
+        seconds = time.perf_counter() - begin
+        # All chosen pixels may be darker than the luminance to which the tolerance of the picture is relative.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance
         reported = f"{np.count_nonzero(expected[wrong] > tolerance)} of {np.count_nonzero(wrong)}"
         print(
             f"| {name} | {len(exact)} | {tolerance:g}, {image.report.light_sample_count:,} | {percentiles(errors)} | "
-            f"{percentiles(expected, ' / ')} | {reported} | {took:.1f} s |", flush=True,
+            f"{percentiles(expected, ' / ')} | {reported} | {seconds:.1f} s |", flush=True,
         )  # fmt: skip
 
 
 def converged_means(
     summed: Callable[..., np.ndarray], chosen: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return means of four sums, their standard errors, and their least number of rays.
+    """Return means of four sums, their standard errors, and the least number of rays per pixel.
 
-    Where the standard error is too large, the sums have four and sixteen times as many rays.
+    Where the standard error is too large, the sums are repeated with four and sixteen times as many rays.
     """
     sets = np.zeros((4, len(chosen), 3))
     spread = np.zeros(len(chosen))
@@ -187,10 +191,10 @@ def converged_means(
 
 
 def picture(path: str) -> None:
-    """Save the scan on a snake under a clear sky with a sun."""
+    """Save a picture of a snake with the scan as its surface, under a clear sky with a sun."""
     scan = inputs.levelled_scan()
     if scan is None:
-        raise FileNotFoundError("--picture requires the scan, which is not in the folder of WARPDIFF_DATA")
+        raise FileNotFoundError("--picture requires the scan, which is missing in the folder that WARPDIFF_DATA names")
     view = wd.View((-1.6, 2.2, 2.6), (-0.56, 0.06, 0.07), fov_y_deg=12.2, width=480, height=288)
     above = wd.Environment(sky(sun=10.0, height=128, elevation_deg=50.0, azimuth_deg=95.0))
     image = wd.shade(wd.meshes.snake(), scan, above, view, tolerance=1e-1, pigment=0.05)
@@ -198,15 +202,23 @@ def picture(path: str) -> None:
 
 
 def main() -> int:
-    """Print the requested tables, or all."""
+    """Print the requested tables, or all tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", action="store_true", help="disc lights against sums over points of the disc")
-    parser.add_argument("--skies", action="store_true", help="random environments against sums")
-    parser.add_argument("--picture", metavar="FILE", help="save a snake under a sky")
-    parser.add_argument("--seed", type=int, default=0, help="random seed of --sizes and --skies (0)")
-    parser.add_argument("--pixels", type=int, default=150, help="number of pixels per case (150)")
-    parser.add_argument("--across", type=int, default=3, help="a 32nd of the rays along a side of a pixel (3)")
-    parser.add_argument("--tolerances", type=float, nargs="+", default=[1e-1, 3e-2], help="of pictures (0.1 0.03)")
+    parser.add_argument("--sizes", action="store_true", help="compare disc lights with sums over points of the disc")
+    parser.add_argument("--skies", action="store_true", help="compare random environments with sums over directions")
+    parser.add_argument("--picture", metavar="FILE", help="save a picture of a snake under a sky")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of --sizes and --skies (default: 0)")
+    parser.add_argument("--pixels", type=int, default=150, help="number of pixels per case (default: 150)")
+    parser.add_argument(
+        "--across", type=int, default=3, help="a 32nd of the rays along each axis of a pixel (default: 3)"
+    )
+    parser.add_argument(
+        "--tolerances",
+        type=float,
+        nargs="+",
+        default=[1e-1, 3e-2],
+        help="tolerances of the pictures (default: 0.1 0.03)",
+    )
     options = parser.parse_args()
     if options.picture:
         picture(options.picture)

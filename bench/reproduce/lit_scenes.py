@@ -1,9 +1,10 @@
-"""Skies, discs and many lights on scenes where a body hides parts of itself: errors, and times in directional lights.
+"""Errors and times of pictures under skies, disc lights and many lights, on bodies that shadow themselves.
 
-Each row is a scene, a surface and a light, such as ``whole_scan_sun``: errors of a picture in tolerances against sums
-over directions with shadows (``bench/truth/sky_sums.py``), processor time over that of one directional light, how many
-pixels have an error above the tolerance, and how many of these ``image.error`` reports. ``lights`` rows, such as
-``tube_scan_16lights``, are judged by the sum of single pictures at an eighth of the tolerance.
+Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
+shadows (``bench/truth/sky_sums.py``). A row has the errors of a picture in tolerances, its processor time relative to
+one directional light, the number of pixels with an error above the tolerance, and the number of these that
+``image.error`` reports. Rows with many lights, such as ``tube_scan_16lights``, are compared with the sum of single
+pictures at an eighth of the tolerance.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from bench.reproduce.lights import converged_means, distances, sky
 from bench.truth.sky_sums import SkySums
 
 SIZE = {"width": 240, "height": 130}
+# Direction to the disc lights.
 TOWARDS = (0.6, 1.0, -0.1)
 CASES = [
     *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
@@ -33,7 +35,7 @@ CASES = [
 
 
 def plate() -> trimesh.Trimesh:
-    """Return a plate over a floor, which it shadows."""
+    """Return a mesh of a plate above a floor that it shadows."""
     parts = []
     for half, height in ((1.0, 0.0), (0.3, 0.4)):
         corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=float)
@@ -45,7 +47,7 @@ def plate() -> trimesh.Trimesh:
 
 
 def room() -> np.ndarray:
-    """Return a dark room with three windows and light bulbs, which differ in colour and brightness."""
+    """Return an environment of a dark room with three bright areas (windows and light bulbs) of different colours."""
     height = 128
     elevation = 90.0 - (np.arange(height)[:, None] + 0.5) * 180.0 / height
     around = (np.arange(2 * height) + 0.5) * 180.0 / height
@@ -73,21 +75,23 @@ SKIES: dict[str, Any] = {"sun": lambda: sky(4.0, 128), "nosun": lambda: sky(0.0,
 
 
 def many_lights(count: int) -> list[wd.DirectionalLight]:
-    """Return lights that are evenly spread over the upper hemisphere."""
+    """Return directional lights that are evenly distributed over the upper hemisphere."""
     index = np.arange(count) + 0.5
     up, turn = 0.05 + 0.95 * index / count, index * np.pi * (3.0 - np.sqrt(5.0))
     level = np.sqrt(1.0 - up**2)
-    return [wd.DirectionalLight(each) for each in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)]
+    return [
+        wd.DirectionalLight(towards) for towards in zip(level * np.cos(turn), up, level * np.sin(turn), strict=True)
+    ]
 
 
 def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any], wd.View, dict[str, Any]]:
-    """Return what makes the body, the height field, the lights, the view and the options of a case."""
+    """Return a function that makes the body, the height field, the lights, the view and the options of a case."""
     scene, surface, name = case.split("_")
     make, view = SCENES[scene]
     if surface == "scan":
         heightfield = inputs.levelled_scan()
         if heightfield is None:
-            raise SystemExit("the scan is not in the folder of WARPDIFF_DATA")
+            raise SystemExit("error: the scan is missing in the folder that WARPDIFF_DATA names")
     else:
         heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     lights: list[Any]
@@ -107,7 +111,7 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return interior pixels, drawn at random, their XYZ under a disc light or a sky, and which of them converged."""
+    """Return random interior pixels, their XYZ under a disc light or a sky, and a mask of the converged ones."""
     places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
 
     def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:
@@ -120,7 +124,7 @@ def reference(
 
 
 def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
-    """Print a row."""
+    """Render one case, compare it with the reference, and print its row."""
     name = case.split("_")[2]
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, window = make(), options["coherence"]
@@ -128,12 +132,12 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
     one = wd.Renderer(body, heightfield, wd.DirectionalLight(TOWARDS), view, **options)
     ratios = []
     for _ in range(3):
-        took = []
-        for each in (one, renderer):
+        seconds = []
+        for timed in (one, renderer):
             begin = time.process_time()
-            each.draw()
-            took.append(time.process_time() - begin)
-        ratios.append(took[1] / took[0])
+            timed.draw()
+            seconds.append(time.process_time() - begin)
+        ratios.append(seconds[1] / seconds[0])
     image = renderer.image()
     if name.endswith("lights"):
         fine = wd.Renderer(body, heightfield, lights[0], view, plan=replace(renderer.plan, tolerance=tolerance / 8.0),
@@ -144,27 +148,28 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
             total += fine.image().xyz
         places = np.argwhere(image.illuminated & (image.coverage > 0.999))
         exact = total[tuple(places.T)]
-        settled = np.ones(len(exact), dtype=bool)
+        converged = np.ones(len(exact), dtype=bool)
     else:
         light = SKIES[name]() if name in SKIES else lights[0]
-        places, exact, settled = reference(SkySums(body, heightfield, view, window), light, pixels, across, tolerance)
-    at = tuple(places[settled].T)
+        places, exact, converged = reference(SkySums(body, heightfield, view, window), light, pixels, across, tolerance)
+    at = tuple(places[converged].T)
     bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
-    errors = distances(image.xyz[at], exact[settled], bright) / tolerance
+    errors = distances(image.xyz[at], exact[converged], bright) / tolerance
     reported = image.error[at] / tolerance
     p50, p90, p99 = np.percentile(errors, [50.0, 90.0, 99.0])
-    share = image.xyz[at][:, 1].sum() / exact[settled][:, 1].sum()
+    share = image.xyz[at][:, 1].sum() / exact[converged][:, 1].sum()
     print(
-        f"| {case} | {settled.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
+        f"| {case} | {converged.sum()} | {statistics.median(ratios):.1f} | {p50:.2f} / {p90:.2f} / {p99:.2f} | "
         f"{share:.3f} | {np.count_nonzero(errors > 1.0)} | {np.count_nonzero(reported[errors > 1.0] > 1.0)} | "
         f"{np.mean(errors <= reported):.2f} |", flush=True,
     )  # fmt: skip
 
 
 def flicker(case: str, *, tolerance: float, frames: int) -> None:
-    """Print by how much differences of neighbouring frames are not those at a fifth of the tolerance, in tolerances.
+    """Print the flicker of a sequence of frames, in tolerances.
 
-    Pixels count that show nothing but the body in both frames. The body turns by 1/48 from frame to frame.
+    Flicker is the error of the difference between neighbouring frames, relative to frames at a fifth of the tolerance.
+    It includes pixels that only the body covers in both frames. The camera moves by 1/48 of a turn per frame.
     """
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, differences = make(), []
@@ -192,20 +197,30 @@ def flicker(case: str, *, tolerance: float, frames: int) -> None:
 
 
 def main() -> int:
-    """Print a table."""
+    """Print the table of all cases."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", default=CASES, metavar="SCENE_SURFACE_LIGHT", help="rows (all)")
-    parser.add_argument("--tolerance", type=float, default=1e-1, help="of pictures (0.1)")
-    parser.add_argument("--pixels", type=int, default=100, help="number of pixels per row (100)")
-    parser.add_argument("--across", type=int, default=128, help="rays along a side of a pixel (128)")
-    parser.add_argument("--flicker", type=int, metavar="FRAMES", help="flicker of a turntable of 48 frames instead")
+    parser.add_argument(
+        "--cases", nargs="+", default=CASES, metavar="SCENE_SURFACE_LIGHT", help="cases to render (default: all)"
+    )
+    parser.add_argument("--tolerance", type=float, default=1e-1, help="tolerance of the pictures (default: 0.1)")
+    parser.add_argument("--pixels", type=int, default=100, help="number of pixels per case (default: 100)")
+    parser.add_argument(
+        "--across", type=int, default=128, help="rays of the reference along each axis of a pixel (default: 128)"
+    )
+    parser.add_argument(
+        "--flicker", type=int, metavar="FRAMES", help="print the flicker of this many turntable frames instead"
+    )
     options = parser.parse_args()
     if options.flicker:
         print("| case | frames | flicker, P50 / P90 / P99 |\n" + 3 * "| --- " + "|")
         for case in options.cases:
             flicker(case, tolerance=options.tolerance, frames=options.flicker)
         return 0
-    print("| case | pixels | time | P50 / P90 / P99 | sum of Y | wrong | reported | bounded |\n" + 8 * "| --- " + "|")
+    print(
+        "| case | pixels | time ratio | P50 / P90 / P99 | sum of Y | above | reported | bounded |\n"
+        + 8 * "| --- "
+        + "|"
+    )
     for case in options.cases:
         judge(case, tolerance=options.tolerance, pixels=options.pixels, across=options.across)
     return 0

@@ -1,12 +1,13 @@
-"""Skies and discs against Mitsuba 3 with the library's plug-in: processor time at equal errors.
+"""Comparison of skies and disc lights with Mitsuba 3 and the library's plug-in: processor time at equal errors.
 
-``python -m bench.reproduce.mitsuba_skies`` draws scenes of ``lit_scenes`` with both programs. The same sums over
-directions (``bench/truth/sky_sums.py``) judge both. A row has the errors of the library's picture in tolerances and its
-processor time, then the errors and times of Mitsuba by number of paths. The next columns are Mitsuba's time over the
-library's at equal P90 and at equal P99, interpolated between numbers of paths. The last one is Mitsuba's sum of Y over
-the reference's. No time includes preparation: plans and tables here, the baked spectrum and compilation there.
+``python -m bench.reproduce.mitsuba_skies`` renders scenes of ``lit_scenes`` with both programs. Sums over directions
+(``bench/truth/sky_sums.py``) are the reference for both. Each row has the errors of the library's picture in tolerances
+and its processor time, followed by the errors and times of Mitsuba by number of paths. The next columns are the ratio
+of Mitsuba's time to the library's at equal P90 and at equal P99, interpolated between numbers of paths. The last column
+is the ratio of Mitsuba's sum of Y to the reference's. Times exclude preparation: plans and tables in the library, the
+baked spectrum and compilation in Mitsuba.
 
-Requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
+The script requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
 """
 
 from __future__ import annotations
@@ -30,23 +31,30 @@ from warpdiff.optics import colorimetry, reflectance_factors
 CASES = ["whole_sun", "whole_nosun", "whole_room", "close_sun", "close_room", "coils_sun", "tube_room", "whole_10"]
 COHERENCE = wd.Coherence(sigma_um=16.25)
 WAVELENGTHS_NM = np.arange(380.0, 781.0)
-# Reflectance of the plug-in's index of refraction, 1.5, at normal incidence. Pictures are relative to it.
+# Reflectance at normal incidence for the plug-in's index of refraction of 1.5. The library's pictures are relative to
+# it.
 NORMAL_REFLECTANCE = 0.04
-# Texels along a side of the baked spectrum.
+# Number of texels along each axis of the baked spectrum. Limit: memory; fewer texels blur the spectrum.
 SPECTRUM_SIZE = 1024
 # Largest number of paths per pixel of one launch. Limit: memory.
 PATHS_OF_LAUNCH = 16
 
 
 def main() -> int:
-    """Print a table."""
+    """Print the table of all cases."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cases", nargs="+", default=CASES, metavar="SCENE_LIGHT", help="rows (all)")
-    parser.add_argument("--tolerance", type=float, default=1e-1, help="of the library's pictures (0.1)")
-    parser.add_argument("--pixels", type=int, default=48, help="number of judged pixels (48)")
-    parser.add_argument("--across", type=int, default=192, help="rays of the reference along a side of a pixel (192)")
-    parser.add_argument("--paths", type=int, nargs="+", default=[4, 16, 64, 256], help="paths per pixel")
-    parser.add_argument("--variant", default="llvm_ad_spectral", help="Mitsuba's variant (llvm_ad_spectral)")
+    parser.add_argument(
+        "--cases", nargs="+", default=CASES, metavar="SCENE_LIGHT", help="cases to render (default: all)"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-1, help="tolerance of the library's pictures (default: 0.1)"
+    )
+    parser.add_argument("--pixels", type=int, default=48, help="number of evaluated pixels (default: 48)")
+    parser.add_argument(
+        "--across", type=int, default=192, help="rays of the reference along each axis of a pixel (default: 192)"
+    )
+    parser.add_argument("--paths", type=int, nargs="+", default=[4, 16, 64, 256], help="numbers of paths per pixel")
+    parser.add_argument("--variant", default="llvm_ad_spectral", help="variant of Mitsuba (default: llvm_ad_spectral)")
     options = parser.parse_args()
     import mitsuba as mi
 
@@ -54,7 +62,7 @@ def main() -> int:
     wd.register_mitsuba_bsdf()
     scan = inputs.levelled_scan()
     if scan is None:
-        print("the scan is not in the folder of WARPDIFF_DATA")
+        print("error: the scan is missing in the folder that WARPDIFF_DATA names")
         return 1
     print("| case | P50 / P90 / P99 | s | Mitsuba: paths, errors, s | time at equal P90 | at equal P99 | sum of Y |")
     print(7 * "| --- " + "|")
@@ -67,7 +75,7 @@ def main() -> int:
 
 
 def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: argparse.Namespace) -> None:
-    """Print a row."""
+    """Render one case with both programs and print its row."""
     scene, name = case.split("_")
     make, view = SCENES[scene]
     body = make()
@@ -127,7 +135,10 @@ def measured(draw: Any) -> float:
 
 
 def equal_error_time(rows: list[tuple[int, np.ndarray, float]], k: int, error: float) -> float:
-    """Return Mitsuba's time for an error, linear in logarithms; infinite where no number of paths reaches it."""
+    """Return Mitsuba's time for an error, interpolated linearly in logarithms.
+
+    The time is infinite if no number of paths reaches the error.
+    """
     errors, times = (np.log([row[1][k] for row in rows]), np.log([row[2] for row in rows]))
     reached = np.flatnonzero(errors <= np.log(error))
     if not len(reached):
@@ -169,13 +180,13 @@ def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
 
 
 def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
-    """Return Mitsuba's environment; its middle column lies half a turn from the library's."""
+    """Return Mitsuba's environment emitter. Its middle column is half a turn away from the library's."""
     rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}
 
 
 def disc_emitter(mi: Any, light: wd.DirectionalLight) -> dict[str, Any]:
-    """Return a distant disc of which radiance times solid angle is the library's light under D65."""
+    """Return a distant disc emitter. Its radiance times its solid angle equals the library's light under D65."""
     half = np.radians(light.angular_diameter_deg / 2.0)
     towards = np.asarray(light.to_light) / np.linalg.norm(light.to_light)
     distance = 200.0

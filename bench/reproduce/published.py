@@ -1,14 +1,15 @@
-"""The published algorithm against the automatic plan, on one frame: error at equal cost and cost at equal error.
+"""Comparison of the published algorithm with the automatic plan on one frame, at equal cost and at equal error.
 
-The frame is the tube with the levelled 65 µm scan. Both methods shade the same directions of a stratified sample of its
-illuminated pixels. The error against the float64 reference is P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with
-Y >= f, f as in ``errors``. A time is that of a call with warm tables on a larger sample: the median of interleaved
-rounds.
+The frame is the tube with the levelled 65 µm scan. Both methods evaluate the same directions of a stratified sample of
+its illuminated pixels. Errors are relative to the float64 reference: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with
+Y >= f, with f from ``errors``. Times are those of calls with prepared tables on a larger sample, as medians of
+interleaved rounds.
 
 The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
 heights that are not centred, 3 × 3 coefficients around the one that floor() selects, and a rectangle rule, in Numba. It
-is refined until it reaches the error of the automatic choice: once with its 37 terms, once by the cheapest combination
-of wavelengths, neighbours and terms, heights centred or not. Rounding, which it does not have, is listed as well.
+is refined until it reaches the error of the automatic choice, in two ways: with its 37 terms, and with the cheapest
+combination of wavelengths, neighbours and terms, with heights centred or not. The table also lists rounding, which the
+published setting does not use.
 """
 
 from __future__ import annotations
@@ -33,20 +34,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Finer settings of the published algorithm: quarter octaves of wavelengths, whole registers of terms.
+# Finer settings of the published algorithm: numbers of wavelengths in quarter octaves, and numbers of terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Limit: beyond these the Gaussian's recurrence would begin below float32's least number; its tail is below rounding.
+# Largest neighbour extent by kind of coherence. Limit: beyond it the Gaussian's recurrence starts below the smallest
+# float32, and its tail is below rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
+# Number of settings with the fewest multiply-adds that are timed.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
-# Tolerance of the reference.
+# Tolerance of the reference. Limit: small compared with the errors of the compared settings.
 TRUTH = 1e-3
+# Width of the frame [pixels], number of timed pixels, and number of timed rounds.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """A setting of the published algorithm."""
+    """Setting of the published algorithm: numbers of wavelengths, terms and neighbours, centring and rounding."""
 
     wavelengths: int = 81
     terms: int = 37
@@ -56,12 +60,12 @@ class Setting(NamedTuple):
 
     @property
     def as_published(self) -> bool:
-        """Whether the series is the published one."""
+        """Return whether the series is the published one."""
         return self.terms == Setting().terms and not self.centred
 
     @property
     def multiply_adds(self) -> float:
-        """Multiply-adds of the sum over terms and neighbours, per pixel and part of an amplitude."""
+        """Return the number of multiply-adds per pixel and part (real or imaginary) of an amplitude."""
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
     def __str__(self) -> str:
@@ -69,11 +73,12 @@ class Setting(NamedTuple):
 
 
 def refined(error_of: Callable[[Setting], float], most: int, target: float) -> tuple[list[Setting], float]:
-    """Return the settings with the fewest multiply-adds that reach an error, also as published, and the least error.
+    """Return the settings with the fewest multiply-adds that reach an error, and the least error of all settings.
 
-    The error falls with each of the numbers, all else equal. For heights centred and not centred, the two smallest
-    numbers of terms are taken that reach it with the most neighbours and wavelengths, and the published number. With
-    these, for every number of neighbours that reaches it with the most wavelengths, the fewest wavelengths are taken.
+    The settings include the cheapest one with the published series. The error decreases with each number if the others
+    are constant. For centred and uncentred heights, the candidates are the two smallest sufficient numbers of terms and
+    the published number. Each is combined with each sufficient number of neighbours. Bisection then finds the smallest
+    sufficient number of wavelengths.
     """
     successes: list[Setting] = []
     found: list[float] = []
@@ -110,7 +115,7 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings of a coherence, and print their table and the comparisons."""
+    """Measure and time all settings for one kind of coherence, and print a table and the comparisons."""
     heightfield, device, threads = scene.heightfield, resolve_device(None), resolve_threads(None)
     whole, _ = scene.directions(coherence, WIDTH)
     every = np.ones(len(whole.gains), dtype=bool)
@@ -151,7 +156,9 @@ def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
     print("\n".join(f"| {name} | {p99s[name]:.1e} | {us[name]:.2f} |" for name in shades))
     cheap = [name for name in plans if us[name] <= us[as_published]] or [min(plans, key=lambda name: us[name])]
     best = min(cheap, key=lambda name: p99s[name])
-    print(f"\nEqual cost, {best}: {p99s[as_published] / p99s[best]:.0f} times less error than as published.")
+    print(
+        f"\nEqual cost, {best}: {p99s[as_published] / p99s[best]:.0f} times smaller error than the published setting."
+    )
     with_terms = [setting for setting in sufficient if setting.as_published]
     for label, which in {"with its terms": with_terms, "at the lowest cost": sufficient}.items():
         if which:
@@ -163,14 +170,14 @@ def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
 
 
 def main() -> None:
-    """Run the comparison."""
+    """Run the comparison for all kinds of coherence."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pixels", type=int, default=2000, help="stratified random pixels to evaluate (2000)")
+    parser.add_argument("--pixels", type=int, default=2000, help="number of stratified random pixels (default: 2000)")
     parser.add_argument("--data", type=Path, help=inputs.HELP)
     options = parser.parse_args()
     (scene,) = [scene for scene in scenes(options.data) if scene.name == "skin"] or [None]
     if scene is None:
-        raise SystemExit("the comparison requires the scan: name its folder by --data")
+        raise SystemExit("error: the scan is missing; name its folder by --data")
     for kind in MOST_REACH:
         compare(scene, wd.Coherence(kind), options.pixels)
 

@@ -1,12 +1,12 @@
-"""The published evaluation, reproduced: periods measured by diffraction, BRDF maps and renderings, one figure each.
+"""The published evaluation, reproduced: periods measured by diffraction, maps and renderings, one figure each.
 
 Single, *An Interactive Shader for Natural Diffraction Gratings* (Bern 2014), is compared with this library. The tables
-contain the published numbers; ``variants`` computes the published methods. The report, ``report.md``, is ``thesis.md``
-with the tables; it states and explains the differences below each figure.
+contain the published numbers, and ``variants`` computes the published methods. The report ``report.md`` is
+``thesis.md`` with the tables. It states and explains the differences below each figure.
 
-Periods: the angle of incidence is 75°. At each of 401 wavelengths the view angle of the brightest first order is
-searched on a grid, and the grating equation gives a period, d = λ/(sin θi + sin θr). The tables contain its mean and
-variance over the wavelengths. Masking is off, because it shifts peaks.
+Periods are measured at an angle of incidence of 75°. At each of 401 wavelengths, the view angle of the brightest first
+order is searched on a grid. The grating equation then gives a period, d = λ/(sin θi + sin θr). The tables contain its
+mean and variance over the wavelengths. Masking is off, because it shifts peaks.
 """
 
 from __future__ import annotations
@@ -37,23 +37,25 @@ if TYPE_CHECKING:
     Table = list[list[str]]
 
 WAVELENGTHS = np.arange(380.0, 781.0)
-# The report, without its tables.
+# Text of the report, without its tables.
 TEXT = Path(__file__).with_suffix(".md")
-# Angle of incidence, in degrees from the normal.
+# Angle of incidence from the normal [degrees]. Origin: as published.
 INCIDENCE_DEG = 75.0
-# Step of the viewing angles, in degrees; 0.4 nm at a wavelength of 380 nm.
+# Step of the view angles [degrees]. It corresponds to 0.4 nm of the period at a wavelength of 380 nm.
 GRID_DEG = 0.0025
-# Search range of an order, as factors on the expected period: neighbouring orders look like half of it.
+# Search range of the period, as a factor of the expected period. Limit: the second order would appear as half the
+# period.
 SOUGHT = 1.3
+# Period of the blazed grating, and expected period of the scan [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Means and variances over the wavelengths [nm, nm²], as published.
+# Published periods by surface and kind of sum: means and variances over the wavelengths [nm, nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
     ("scan", "full"): "1144.262 (0.401)",
     ("scan", "periods"): "1052.308 (49.678)",
 }
-# Published period of the scan, in nm.
+# Published period of the scan [nm].
 PUBLISHED_SCAN_NM = 1144.262
 CENTRED, SEAM = wd.Coherence("centred"), wd.Coherence("centred", centre_um=(0.0, 0.0))
 FLOOR = "3 × 3 by floor, on the seam"
@@ -65,8 +67,8 @@ class Setup:
 
     Attributes:
         folder: Folder of the figures.
-        quick: Whether sizes are small.
-        raw: Scan as measured; None if it is absent.
+        quick: Whether the figures are small.
+        raw: Scan as measured, or None if its file is absent.
     """
 
     folder: Path
@@ -75,23 +77,26 @@ class Setup:
 
     @functools.cached_property
     def scan(self) -> wd.HeightField | None:
-        """The levelled scan."""
+        """The levelled scan, or None if its file is absent."""
         return None if self.raw is None else self.raw.levelled(order=2)
 
     def pixels(self, count: int) -> int:
-        """Return a size in pixels, a third of it if quick; odd, so that a map has a row in the plane of incidence."""
+        """Return an odd size in pixels, a third of it if quick.
+
+        With an odd size, a map has a row in the plane of incidence.
+        """
         return (count // 3 if self.quick else count) | 1
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """Scan, its middle if quick, or synthetic fingers if it is absent."""
+        """The scan, a crop of its middle if quick, or synthetic fingers if its file is absent."""
         if self.scan is None:
             return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
         return self.scan.cropped(32.0) if self.quick else self.scan
 
     @property
     def natural_name(self) -> str:
-        """Name of the natural surface."""
+        """Name of the natural surface in figures."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -102,13 +107,13 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of the first orders of periods [nm] between two."""
+    """Return view angles [degrees] of the first order for ``count`` equally spaced periods between two periods [nm]."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
 
 def periods_at(angles_deg: Floats, wavelengths_nm: Floats) -> Floats:
-    """D = λ/(sin θi + sin θr) [nm] of the first order."""
+    """Return the periods d = λ/(sin θi + sin θr) [nm] from the angles of the first order."""
     return wavelengths_nm / (math.sin(math.radians(INCIDENCE_DEG)) + np.sin(np.radians(angles_deg)))
 
 
@@ -139,7 +144,10 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return the library's ρ for :func:`first_order`; ``opposite`` rotates light and views by 180° about the normal."""
+    """Return a function for :func:`first_order` that computes ρ by the library.
+
+    ``opposite`` rotates light and views by 180° about the normal.
+    """
     rotated = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
     return lambda light, views, wavelengths: wd.spectral_reflectance(
         heightfield, light * rotated, views * rotated, wavelengths, masking=False, **options
@@ -147,27 +155,27 @@ def library(
 
 
 def blazed() -> wd.HeightField:
-    """Return the published blazed grating."""
+    """Return the published blazed grating, with a period of 2.5 µm."""
     return wd.gratings.blazed(BLAZED_UM, 0.25)
 
 
 def blazed_period(**options: Any) -> Floats:
-    """Return periods [nm] of the blazed grating; options are those of ``wd.spectral_reflectance``."""
+    """Return measured periods [nm] of the blazed grating; options are those of ``wd.spectral_reflectance``."""
     return periods_at(first_order(library(blazed(), **options), BLAZED_UM)[2], WAVELENGTHS)
 
 
 def written(periods: Floats) -> str:
-    """Return mean and variance as text, in the published format."""
+    """Return a text with the mean and variance of periods, in the published format."""
     return f"{periods.mean():.3f} ({periods.var():.3f})"
 
 
-# Periods.
+# Figures of periods.
 
 
 def methods_of(
     heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
-    """Return methods by name: kind of published number, ρ, and the step of the grid [degrees]."""
+    """Return the compared methods by name: kind of published number, function of ρ, and grid step [degrees]."""
     repeated = wd.Coherence("replicas", periods=periods)
     many = f"{periods[0]} × {periods[1]} periods"
     other = library(heightfield, opposite=True, strict=False)
@@ -196,7 +204,7 @@ def period_figure(
     setup: Setup, name: str, heightfield: wd.HeightField, expected_um: float, shown: list[str], *,
     counts: tuple[int, int], raw: wd.HeightField | None = None,
 ) -> Table:  # fmt: skip
-    """Draw reflectance over wavelength and angle for the shown methods, and return the table of all methods."""
+    """Draw reflectance over wavelength and angle for the shown methods. Return the table of all methods."""
     from matplotlib import pyplot as plt
 
     wavelengths = WAVELENGTHS[::20] if setup.quick else WAVELENGTHS
@@ -227,19 +235,19 @@ def period_figure(
 
 
 def blazed_periods(setup: Setup) -> Table:
-    """Periods of the blazed grating."""
+    """Draw the periods of the blazed grating."""
     shown = ["averaged, low-rank", FLOOR, "1 × 26 periods, exact", "1 × 26 periods, linear"]
     return period_figure(setup, "blazed", blazed(), BLAZED_UM, shown, counts=(1, 26))
 
 
 def scan_periods(setup: Setup) -> Table:
-    """Periods of the scan."""
+    """Draw the periods of the scan."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 periods, linear"]
     return period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, counts=(1, 1), raw=setup.raw)
 
 
 def scan_windows(setup: Setup) -> Table:
-    """The first-order period under windows all over the scan."""
+    """Draw the first-order period under windows at positions all over the scan."""
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
@@ -290,27 +298,28 @@ def scan_windows(setup: Setup) -> Table:
     return rows
 
 
-# Maps.
+# Figures of reflectance maps.
 
 
-# Exposures, as the demonstration's: gratings of one dimension have all their light on a line.
+# Exposures of maps, the same as in the demonstration. One-dimensional gratings reflect all light into a line and have a
+# smaller exposure.
 LINE, AREA = 0.04, 3.0
 
 
 def mean_map(setup: Setup, heightfield: wd.HeightField) -> Floats:
-    """Return XYZ of a map, each pixel the mean of 3 × 3 directions (one if quick), nan outside."""
+    """Return XYZ of a map, with NaN outside. Each pixel is the mean of 3 × 3 directions, or one direction if quick."""
     samples = 1 if setup.quick else 9
     image = wd.reflectance_map(heightfield, (0.0, 0.0, 1.0), size=setup.pixels(300), samples_per_pixel=samples)
     return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
 
 
 def exposure(xyz: Floats) -> float:
-    """Return 1 over the 99th percentile of luminance, or over the largest if that is 0."""
+    """Return the inverse of the 99th percentile of luminance, or of the largest luminance if that percentile is 0."""
     return 1.0 / float(np.nanpercentile(xyz[..., 1], 99.0) or np.nanmax(xyz[..., 1]))
 
 
 def mosaic(setup: Setup, name: str, rows: list[list[tuple[str, Floats, float]]], *, inch: float) -> Table:
-    """Draw rows of pictures, each a label, XYZ with nan where it is transparent, and an exposure."""
+    """Draw rows of pictures. Each has a label, XYZ with NaN where it is transparent, and an exposure."""
     from matplotlib import pyplot as plt
 
     height, width = rows[0][0][1].shape[:2]
@@ -327,7 +336,7 @@ def mosaic(setup: Setup, name: str, rows: list[list[tuple[str, Floats, float]]],
 
 
 def map_gratings(setup: Setup) -> Table:
-    """Maps of gratings."""
+    """Draw reflectance maps of gratings."""
     fields = {
         "sine, 2 µm, 0.3 deep": (wd.gratings.sinusoidal(2.0, 0.3), LINE),
         "square, 2 µm, 0.12 deep": (wd.gratings.lamellar(2.0, 0.12), LINE),
@@ -343,18 +352,18 @@ def map_gratings(setup: Setup) -> Table:
     return mosaic(setup, "map_gratings", [tiles[:4], tiles[4:]], inch=3.0)
 
 
-# Renderings.
+# Figures of rendered bodies.
 
 
-# Exposure of renderings, relative to that of maps.
+# Exposure of rendered bodies, relative to that of maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
-# Position on the back at which an order is visible.
+# Point on the snake's back at which a diffraction order is visible.
 COLOURED = (-0.453, 0.190, -0.137)
 
 
 def render_zoom(setup: Setup) -> Table:
-    """Renderings of the snake from decreasing distances."""
+    """Draw pictures of the snake with decreasing fields of view."""
     snake, tiles = wd.meshes.snake(ventrals=65 if setup.quick else 130), []
     size = {"width": setup.pixels(420), "height": setup.pixels(250)}
     for fov in (12.2, 5.0, 2.0, 0.8):
@@ -366,7 +375,7 @@ def render_zoom(setup: Setup) -> Table:
     return mosaic(setup, "render_zoom", [tiles[:2], tiles[2:]], inch=4.2)
 
 
-# The report.
+# Functions that write the report.
 
 
 def save(setup: Setup, figure: Any, name: str) -> None:
@@ -378,7 +387,7 @@ def save(setup: Setup, figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-# Functions that draw a figure and return its table, and those that require the scan.
+# Functions that draw a figure and return its table, and those of them that require the scan.
 FIGURES: tuple[Callable[[Setup], Table], ...] = (blazed_periods, scan_periods, scan_windows, map_gratings, render_zoom)
 OF_THE_SCAN = (scan_periods, scan_windows)
 
@@ -386,18 +395,18 @@ OF_THE_SCAN = (scan_periods, scan_windows)
 def main() -> int:
     """Write all figures and the report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, default=Path("thesis"), help="folder for the figures (thesis)")
+    parser.add_argument("--output", type=Path, default=Path("thesis"), help="folder for the figures (default: thesis)")
     parser.add_argument("--data", type=Path, help=inputs.HELP)
-    parser.add_argument("--quick", action="store_true", help="small sizes, in less than a minute")
+    parser.add_argument("--quick", action="store_true", help="draw small figures in less than a minute")
     names = [make.__name__ for make in FIGURES]
-    parser.add_argument("--only", choices=names, default=names, nargs="+", help="only these figures")
+    parser.add_argument("--only", choices=names, default=names, nargs="+", help="draw only these figures")
     options = parser.parse_args()
     import matplotlib as mpl
 
     mpl.use("Agg")
     raw = inputs.scan(options.data)
     if raw is None:
-        print(f"The scan is not in {inputs.folder(options.data)}: figures are skipped or show synthetic fingers")
+        print(f"The scan is not in {inputs.folder(options.data)}: its figures are skipped or show synthetic fingers")
     options.output.mkdir(parents=True, exist_ok=True)
     setup = Setup(options.output, options.quick, raw)
     report, *sections = TEXT.read_text(encoding="utf-8").split("\n## ")

@@ -1,8 +1,9 @@
 """Errors of random calls against the float64 reference, on directions that their plans never read.
 
-A stratum is a kind of coherence at a tolerance, or a kind of call: a list of directions (few, some, many), a grid in
-row order, a reflectance map, a frame. A call's error is the larger of the 99th percentiles of e over all its directions
-and over the bright ones. An exception instead of a result is a miss. Use a held-out seed.
+A stratum is a kind of coherence at one tolerance, or a kind of call: a list of directions (few, some, many), a grid in
+row order, a reflectance map, a frame. The error of a call is the larger of two 99th percentiles of the relative error:
+over all its directions, and over the bright ones. A call that raises an exception counts as a miss. Use a held-out
+seed.
 """
 
 from __future__ import annotations
@@ -25,26 +26,27 @@ import warpdiff as wd
 from bench import inputs
 from bench.truth import configurations, judge
 
-# Targets: shares of calls that meet the tolerance, in total and per stratum; largest error over tolerance; share of
-# calls that may warn; and the share of predicted errors between two multiples of the measured errors, if these are at
-# least a share of the tolerance.
+# Targets of the sweep. `SHARE` and `STRATUM_SHARE` are the least shares of calls that meet the tolerance, in total and
+# per stratum. `BEYOND` is the largest accepted error over tolerance, and `WARNED` the largest share of calls that warn.
+# At least `PREDICTED_SHARE` of predicted errors must be between the multiples `PREDICTED` of the measured errors.
+# Errors below `COUNTS_FROM` tolerances are excluded.
 SHARE, STRATUM_SHARE, BEYOND, WARNED = 0.99, 0.95, 3.0, 0.02
 PREDICTED, PREDICTED_SHARE, COUNTS_FROM = (0.5, 10.0), 0.95, 0.01
 
 
 class Outcome(NamedTuple):
-    """Outcome of a call."""
+    """Outcome of a call: its parameters, its errors relative to the tolerance, and its messages."""
 
     index: int
     stratum: tuple[str, float]
     layout: str
     words: str
     overall: float  # error over tolerance, of all directions; infinite without a result
-    bright: float  # the same of directions with Y >= f
-    dim: float  # the same of directions with Y < f
+    bright: float  # error over tolerance, of directions with Y >= f
+    dim: float  # error over tolerance, of directions with Y < f
     share_dim: float
     predicted: float  # predicted error over tolerance; 0 without a plan
-    white: float  # Y*
+    white: float  # reference luminance Y*
     refusal: str
     warned: str
     tabled: bool
@@ -52,18 +54,18 @@ class Outcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Error over tolerance."""
+        """Error over tolerance, by which the call is judged."""
         return max(self.overall, self.bright)
 
     @property
     def margin(self) -> float | None:
-        """Predicted over measured error; None if the measured error is too small to count."""
+        """Predicted over measured error, or None if the measured error is too small to count."""
         measured = max(self.bright, self.dim)
         return self.predicted / measured if COUNTS_FROM <= measured < np.inf else None
 
 
 def run(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> Outcome:
-    """Make a call and evaluate its errors."""
+    """Make one random call and evaluate its errors."""
     case = configurations.configuration(index, seed, scan, layouts)
     try:
         result = judge.evaluate(case, threads=1)
@@ -87,17 +89,17 @@ _worker: dict[str, object] = {}
 
 
 def start_worker(seed: int, data: str | None, layouts: tuple[str, ...]) -> None:
-    """Store what all calls of a process share."""
+    """Store the inputs that all calls of a worker process share."""
     _worker.update(seed=seed, scan=inputs.levelled_scan(data), layouts=layouts)
 
 
 def work(index: int) -> Outcome:
-    """Make one call in a worker process."""
+    """Make one random call in a worker process."""
     return run(index, **_worker)  # type: ignore[arg-type]
 
 
 def strata(outcomes: list[Outcome]) -> list[tuple[str, list[Outcome]]]:
-    """Return groups of outcomes by name: kinds of coherence at tolerances, kinds of call, and all."""
+    """Return groups of outcomes by name: kinds of coherence at tolerances, kinds of call, and all calls."""
     by_form = [
         (f"{k} at {t:g}", [outcome for outcome in outcomes if outcome.stratum == (k, t)])
         for k, t in configurations.STRATA
@@ -113,13 +115,13 @@ def within(outcomes: list[Outcome]) -> float:
 
 
 def share_predicted(outcomes: list[Outcome]) -> float:
-    """Return the share of predicted errors that are near the measured errors."""
+    """Return the share of predicted errors that are near the measured errors (see ``PREDICTED``)."""
     margins = [outcome.margin for outcome in outcomes if outcome.margin is not None]
     return float(np.mean([PREDICTED[0] <= margin <= PREDICTED[1] for margin in margins])) if margins else 1.0
 
 
 def table(outcomes: list[Outcome]) -> list[str]:
-    """Return a Markdown table with one row per stratum and one of all calls."""
+    """Return the lines of a Markdown table with one row per stratum and one for all calls."""
     low, high = PREDICTED
     columns = (
         "stratum", "calls", "within", "refused", "warned", "worst error / tolerance: all", "bright", "dim",
@@ -143,7 +145,11 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 
 def failures(outcomes: list[Outcome]) -> list[str]:
-    """Return the calls that miss the tolerance, were refused, warn, or predict another error, with all parameters."""
+    """Return the failing calls with all their parameters.
+
+    A call fails if it misses the tolerance, is refused or warns, or if its predicted error is far from the measured
+    one.
+    """
     rows = []
     for outcome in outcomes:
         is_far = outcome.margin is not None and not PREDICTED[0] <= outcome.margin <= PREDICTED[1]
@@ -159,7 +165,7 @@ def failures(outcomes: list[Outcome]) -> list[str]:
 
 
 def shortfalls(outcomes: list[Outcome]) -> list[str]:
-    """Return the targets that are missed."""
+    """Return one line per target that is missed."""
     short = []
     for name, group in strata(outcomes):
         least = SHARE if name == "all" else STRATUM_SHARE
@@ -175,7 +181,7 @@ def shortfalls(outcomes: list[Outcome]) -> list[str]:
 
 
 def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> None:
-    """Print one call, and its error with finer numbers of the plan."""
+    """Print one call, and its errors with finer settings of the plan."""
     case = configurations.configuration(index, seed, scan, layouts)
     print(case)
     try:
@@ -215,15 +221,24 @@ def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[s
 
 
 def main() -> int:
-    """Print the table, and write it to a file."""
+    """Run the sweep, print its table, and write it to a file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=420, help="number of calls (420: 30 per coherence and tolerance)")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
-    parser.add_argument("--only", choices=configurations.KINDS, help="only this kind of coherence")
-    parser.add_argument("--layouts", nargs="+", choices=set(configurations.LAYOUTS), help="only these kinds of call")
-    parser.add_argument("--index", type=int, nargs="+", help="explain these calls, one after the other")
-    parser.add_argument("--output", type=Path, help="file for the table, Markdown")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes of one thread (one per core)")
+    parser.add_argument(
+        "--count", type=int, default=420, help="number of calls (default: 420, 30 per coherence and tolerance)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
+    parser.add_argument("--only", choices=configurations.KINDS, help="run only this kind of coherence")
+    parser.add_argument(
+        "--layouts", nargs="+", choices=set(configurations.LAYOUTS), help="run only these kinds of call"
+    )
+    parser.add_argument("--index", type=int, nargs="+", help="explain the calls with these indices")
+    parser.add_argument("--output", type=Path, help="write the table to this Markdown file")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count(),
+        help="number of processes with one thread each (default: one per core)",
+    )
     parser.add_argument("--data", help=inputs.HELP)
     options = parser.parse_args()
     layouts = tuple(options.layouts or configurations.LAYOUTS)
@@ -241,7 +256,7 @@ def main() -> int:
     indices = list(itertools.islice(those, options.count))
     outcomes: list[Outcome] = []
     begin = time.perf_counter()
-    # Processes share the cores: linear algebra uses one thread in each.
+    # Linear algebra uses one thread per process, because the processes share the cores.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with ProcessPoolExecutor(
@@ -272,7 +287,8 @@ def main() -> int:
     )
     lines = [
         f"# Errors over tolerances: {len(indices)} random calls, seed {options.seed}", "", bar, "", circumstances, "",
-        *table(outcomes), "", "## Tolerance missed, refused, warned, or predicted far from it", "", *failures(outcomes),
+        *table(outcomes), "", "## Calls that fail, are refused, warn, or have a wrong prediction", "",
+        *failures(outcomes),
     ]  # fmt: skip
     text = "\n".join(lines) + "\n"
     print("\n" + text)

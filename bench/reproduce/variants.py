@@ -1,12 +1,13 @@
 """Published methods with known errors, which ``thesis.py`` compares with the library.
 
-- ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() selects, without the phase that
-  moves the window off the transform's origin (Single 2014, eq. 3.34): a window on the patch's seam.
-- ``periods``: whole periods of the patch (eq. 3.50), whose coefficients are interpolated linearly or by a truncated
-  sinc (eq. 3.51). They lack a phase, too: the sinc's is the transform of the patch with its halves swapped, its seam
-  inside.
+- ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() selects. The sum lacks the phase
+  that moves the window off the transform's origin (Single 2014, eq. 3.34), so that the window lies on the patch's
+  seam.
+- ``periods``: whole periods of the patch (eq. 3.50). Coefficients are interpolated linearly or by a truncated sinc
+  (eq. 3.51). The sinc also lacks a phase: it is the transform of the patch with its halves swapped, so that the seam
+  lies inside.
 
-The arithmetic is NumPy's; coefficients are exact to 1e-6.
+The module uses NumPy. Coefficients have an error of at most 1e-6.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
-# Truncation error of the series.
+# Truncation error of the series. Limit: small compared with the differences that the comparison shows.
 ACCURACY = 1e-6
-# Coefficients on either side of the nearest at which the sinc is truncated.
+# Number of coefficients on either side of the nearest one, at which the sinc is truncated. Origin: as published.
 SINC_REACH = 3
-# Standard deviation of the window, in µm.
+# Standard deviation of the window [µm]. Origin: as published.
 SIGMA_UM = 16.25
-# Number of directions that are evaluated at once.
+# Number of pairs of direction and wavelength that are evaluated at once. Limit: memory.
 CHUNK = 1 << 15
 
 
@@ -45,13 +46,13 @@ def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, w
     """Return ρ by 3 × 3 coefficients around the one that floor() selects, for the default window, without masking.
 
     Args:
-        heightfield: The height field.
+        heightfield: Height field.
         to_light: Unit vector to the light, shape (3,).
         to_view: Unit vectors to the viewer, shape (n, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,).
 
     Returns:
-        Shape (n, m).
+        ρ, shape (n, m).
     """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
@@ -66,11 +67,14 @@ def periods(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats, *,
     count: tuple[int, int], interpolation: str,
 ) -> Floats:  # fmt: skip
-    """Return ρ of ``count`` periods (y, x) by ``interpolation``, "linear" or "sinc"; see :func:`neighbours`."""
+    """Return ρ of ``count`` periods (y, x) with "linear" or "sinc" interpolation.
+
+    The other arguments are those of :func:`neighbours`.
+    """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         if heightfield.shape[axis] == 1:
-            # One sample has the same value at every frequency: there is nothing to interpolate.
+            # The transform of one sample is constant, so that no interpolation is necessary.
             order = np.zeros((len(position), 1))
             weight = order + 1.0
         elif interpolation == "linear":
@@ -79,7 +83,8 @@ def periods(
         else:
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
-        # sin(πNt) / (N sin(πt)) of the amplitudes, t reduced to its distance from a whole number.
+        # The factor of the amplitudes is sin(πNt) / (N sin(πt)), with t reduced to its distance from the nearest
+        # integer.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -87,7 +92,10 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return orders from ``first`` to ``last`` around orders, shape (p, k); an axis of one sample has the order 0."""
+    """Return the orders from ``first`` to ``last`` relative to given orders (p,), shape (p, k).
+
+    An axis with one sample has only the order 0.
+    """
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
 
 
@@ -95,7 +103,10 @@ def _reflectance(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats,
     weights: Callable[[Floats, int], tuple[Floats, Floats]],
 ) -> Floats:  # fmt: skip
-    """C·|Σ weight_s weight_r H_rs|², the weights of an axis from the positions (u, v) L/λ on it."""
+    """Return C·|Σ weight_s weight_r H_rs|².
+
+    ``weights`` returns the orders and weights along an axis from the positions u L/λ or v L/λ on that axis.
+    """
     lights = np.broadcast_to(to_light, to_view.shape)
     gains = reflectance_factors.gain(lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=False)
     scattering_vectors = -lights - to_view
@@ -114,7 +125,8 @@ def _reflectance(
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
-            # In the plane of incidence every row but the middle one weighs nothing in an interpolation.
+            # In the plane of incidence, an interpolation gives all rows except the middle one the weight 0. These rows
+            # are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
@@ -126,7 +138,7 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return coefficients up to a frequency [1/µm], their block, and the 2πa [µm] of the series' argument."""
+    """Return coefficients up to a frequency [1/µm], their block, and the scale 2πa [µm] of the series' argument."""
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)
     block = fourier_coefficients.Block.covering(

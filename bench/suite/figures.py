@@ -1,4 +1,4 @@
-"""Style of the charts, and their files."""
+"""Style of the charts, and functions that write their files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 GREY = "#555555"
-# Okabe and Ito's colours, which colour-blind readers can distinguish, and black.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish, with black and brown.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE, BROWN = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#8c510a",
 )  # fmt: skip
@@ -36,7 +36,7 @@ def pyplot() -> Any:
 
 
 def save(figure: Any, folder: Path, name: str) -> Path:
-    """Write a figure atomically as PNG and SVG; returns the path of the PNG."""
+    """Write a figure atomically as PNG and SVG. Return the path of the PNG file."""
     folder.mkdir(parents=True, exist_ok=True)
     for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 110})):
         with atomic_write(folder / f"{name}{suffix}") as unfinished:
@@ -46,11 +46,11 @@ def save(figure: Any, folder: Path, name: str) -> Path:
 
 
 def label_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]], *, gap: float = 0.052) -> None:
-    """Write labels (x, y, name, colour) at the right edge of logarithmic axes, without overlap, with leader lines.
+    """Write labels at the right edge of logarithmic axes, without overlap, with leader lines.
 
     Args:
         axis: Axes with their limits set.
-        ends: Last points of the curves, in data coordinates.
+        ends: Last points of the curves with their labels: (x, y, name, colour), in data coordinates.
         gap: Least distance of two labels, as a share of the axis.
     """
     low, high = map(math.log10, axis.get_ylim())

@@ -1,8 +1,8 @@
-"""Frames: time against error, by points, by footprints and by refined footprints, on every subject.
+"""Frames: time against error for point samples, footprints and refined footprints, on every body.
 
-A frame is 640 × 480; light and view move from frame to frame. Its error is measured on crops, see ``crops``, against
-96 × 96 points per pixel under the filter, over the interior pixels of all crops. Points use one table and the filter,
-with 1 to 64 rays per pixel.
+A frame has 640 × 480 pixels, and the light and the camera move from frame to frame. Errors are measured on crops (see
+``crops``) over interior pixels, against 96 × 96 points per pixel under the pixel filter. Point samples use one table
+and the pixel filter, with 1 to 64 rays per pixel.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ if TYPE_CHECKING:
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
+# Random seed and number of the crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the plans of point samples and of the reference.
+# Tolerance of the plans for point samples and for the reference. Derived: half of the smallest tolerance of frames.
 TABLE = 1e-2
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return milliseconds per frame and errors, by subject and method."""
+    """Return times per frame [ms] and errors, by body and method."""
     names = crops.bodies(setting.data and str(setting.data))
     results: dict[str, Any] = {}
     for body in ("tube",) if setting.quick else SUBJECTS:
         if body not in names:
-            print(f"Frames exclude the {body}, which is not in the data.")
+            print(f"No frames of the {body}: its mesh is not in the data folder.")
             continue
         setting.say(f"frames of the {body}")
         results[body] = _measured(names[body](), body, setting)
@@ -45,7 +46,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def ways(quick: bool) -> dict[str, dict[str, Any]]:
-    """Return the arguments of ``Renderer`` by method."""
+    """Return the arguments of ``Renderer`` for each compared method, by name."""
     result: dict[str, dict[str, Any]] = {"means": {"tolerance": 3e-2, "refine": False}}
     for tolerance in (1e-1, 3e-2) if quick else (2e-1, 1e-1, 5e-2, 3e-2, 2e-2):
         result[f"refined to {tolerance:g}"] = {"tolerance": tolerance}
@@ -55,7 +56,7 @@ def ways(quick: bool) -> dict[str, dict[str, Any]]:
 
 
 def moved(mesh: Any, k: int) -> tuple[wd.DirectionalLight, wd.View]:
-    """Return the light and the view of frame k, which goes around the mesh."""
+    """Return the light and the view of frame k. The camera moves around the mesh."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     towards = np.array([3.1 * np.sin(0.1 * k), 1.6, 3.1 * np.cos(0.1 * k)])
@@ -78,7 +79,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     number = iter(range(1, 10_000))
 
     def draw(renderer: wd.Renderer) -> None:
-        # A GPU draws while the host goes on.
+        # A GPU works asynchronously, so that the time includes the wait until the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, next(number))).device)
 
     times = interleaved({name: functools.partial(draw, one) for name, one in renderers.items()}, setting.rounds)
@@ -95,7 +96,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Figures by name: [value, least, most, unit]."""
+    """Return the figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():
@@ -106,7 +107,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per subject."""
+    """Draw one panel per body. Return the finding as text."""
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))
@@ -122,11 +123,13 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     axes[0][-1].legend(fontsize=7)
     figure.tight_layout()
     figures.save(figure, folder, "frames")
-    return {"frames": f"Frames refined to 1e-1, compared with 64 points per pixel: time and error {_ratios(results)}."}
+    return {
+        "frames": f"Frames refined to 1e-1, relative to 64 points per pixel: time and error are {_ratios(results)}."
+    }
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return by which factors time and error of refined frames are smaller than those of points."""
+    """Return the factors by which time and error of refined frames are smaller than those of point samples."""
     texts = []
     for body, by_method in results.items():
         ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]

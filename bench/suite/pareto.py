@@ -1,9 +1,9 @@
 """Speed against accuracy: every method over its settings, the automatic choice, and peers, on the pixels of a scene.
 
-Errors are ‖ΔXYZ‖ / max(‖XYZ‖, f), f as in ``errors``, and ΔE2000 with an exposure that maps the 99th percentile of Y
-to 1, both against the float64 reference. Times are of warm calls, arrays in and arrays out, on as many of the scene's
-illuminated pixels as require about a tenth of a second. Preparation of a new height field (plan, coefficients, table)
-is timed separately, without compilation.
+Errors are relative to the float64 reference: ‖ΔXYZ‖ / max(‖XYZ‖, f) with f from ``errors``, and ΔE2000 with an exposure
+that maps the 99th percentile of Y to 1. Times are those of warm calls with arrays as inputs and outputs. Each call has
+as many of the scene's illuminated pixels as take about a tenth of a second. Preparation of a new height field (plan,
+coefficients, table) is timed separately, without compilation.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ if TYPE_CHECKING:
 
     Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
-# Number of directions whose error is measured; a quarter with ``--quick``.
+# Number of directions whose error is measured; a quarter of them with ``--quick``. Limit: time of the reference.
 JUDGED = 300
+# Duration of a timed call [s], and its least number of pixels.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+# Numbers of frames over which the preparation time is distributed.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Methods of warpdiff by kind of coherence.
@@ -58,7 +60,7 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a plan as a function that is called like a peer."""
+    """Return a function that shades directions by a plan of warpdiff, with the interface of a peer."""
     import warp as wp
 
     direction_range = DirectionRange.of(
@@ -84,12 +86,12 @@ def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, dev
 
 
 def style(method: str) -> tuple[str, str, str]:
-    """Return colour, marker and title of a method."""
+    """Return the colour, marker and title of a method in charts."""
     return STYLES.get(method, ("#CC00CC", "P", method))
 
 
 def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Return the peers that can run and support a kind of coherence, with their settings."""
+    """Return the available peers that support a kind of coherence, with their settings."""
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
         name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
     }
@@ -101,18 +103,18 @@ def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, lis
         except ImportError as error:
             reason = str(error)
         if reason is not None:
-            print(f"{name} is excluded: {reason}.")
+            print(f"{name} is excluded from the charts: {reason}.")
         elif name == "stam_analytic":
             result |= {"Stam, rainbow": (peer, peer.SETTINGS[:1]), "Stam, CIE": (peer, peer.SETTINGS[1:])}
         else:
-            # Plain NumPy takes a hundred times as long, so only two of its settings are measured.
+            # NumPy requires a hundred times as long, so that only two of its settings are measured.
             settings = [peer.SETTINGS[2], peer.SETTINGS[-2]] if name == "numpy_peer" else peer.SETTINGS
             result[PEERS[name]] = peer, [peer.PUBLISHED, *settings]
     return result
 
 
 def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
-    """Return a peer at the most accurate setting that it supports."""
+    """Return the shading function of a peer at its most accurate supported setting."""
     for setting in reversed(settings):
         with contextlib.suppress(ValueError):
             return cast("Shade", peer.prepare(heightfield, coherence, **setting))
@@ -120,7 +122,7 @@ def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField,
 
 
 def label(setting: dict[str, Any]) -> str:
-    """Return a short text of a peer's setting."""
+    """Return a short description of a peer's setting."""
     if not setting:
         return "default"
     if "colours" in setting:
@@ -133,7 +135,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans for the scene's pixels, by (method, tolerance)."""
+    """Return plans for the pixels of a scene, by (method, tolerance)."""
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -145,14 +147,14 @@ def plans(
             try:
                 plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, **chosen, **options)
             except ValueError:
-                # The method cannot meet the tolerance.
+                # Methods that cannot meet the tolerance are skipped.
                 continue
             result[method, f"{tolerance:g}"] = plan
     return result
 
 
 def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
-    """Measure all curves of one chart."""
+    """Measure all curves of one chart: a scene with one kind of coherence."""
     directions, _ = scene.directions(coherence)
     device = resolve_device(setting.device)
     few = directions.subset(JUDGED // 4 if setting.quick else JUDGED)
@@ -201,7 +203,7 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
 
 
 def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting) -> Any:
-    """Yield the preparation time of a new height field by method [s], kernels compiled."""
+    """Yield the preparation time [s] of a new height field by method. Kernels are compiled before."""
     few = directions.subset(FEWEST)
     for method in ("low-rank, table", "low-rank"):
         if method in METHODS[coherence.kind]:
@@ -217,7 +219,7 @@ def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setti
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the charts of all scenes and coherences; a quick run has one."""
+    """Measure the charts of all scenes and kinds of coherence. A quick run has only one chart."""
     results = {}
     for scene in scenes(setting.data):
         for coherence in scene.coherences:
@@ -230,13 +232,13 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Figures by name: [value, least, most, unit]."""
+    """Return the figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():
             for k, setting in enumerate(curve["setting"]):
                 key = f"pareto/{chart_name}/{method}/{setting}"
-                result[f"{key}/time"] = [*curve["us"][k], "µs a pixel"]
+                result[f"{key}/time"] = [*curve["us"][k], "µs per pixel"]
                 for name, unit in (("median", "error"), ("p99", "error"), ("delta_e", "ΔE2000")):
                     result[f"{key}/{name}"] = [curve[name][k]] * 3 + [unit]
         for method, seconds in scene["before_s"].items():
@@ -245,7 +247,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one figure per scene and coherence; returns a finding by the figure's name."""
+    """Draw one chart per scene and coherence. Return the findings by the names of the charts."""
     return {f"pareto_{name}": _draw(f"pareto_{name}", result, folder) for name, result in results.items()}
 
 
@@ -258,7 +260,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         for method, curve in curves.items():
             colour, marker, title = style(method)
             top = method == AUTOMATIC
-            # The published setting is a separate point, not a part of a peer's curve.
+            # The published setting is a separate point and not a part of a peer's curve.
             begin = int(method in PEERS.values())
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
@@ -284,7 +286,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         figures.label_ends(axis, ends)
         axis.grid(color="#00000014", linewidth=0.8)
         axis.set_axisbelow(True)
-    axes[0].set_title("error of XYZ: P99; dotted: median; hollow: as published")
+    axes[0].set_title("error of XYZ: P99 (dotted: median, hollow: published setting)")
     axes[0].set_ylabel("error against the float64 reference")
     axes[1].set_title("colour difference: P99")
     axes[1].set_ylabel("ΔE2000")
@@ -314,13 +316,13 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """Return the index of the cheapest setting whose 99th percentile is at most an error."""
+    """Return the index of the cheapest setting whose P99 error is at most ``error``, or None."""
     good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return what a chart shows, in a sentence."""
+    """Return the finding of a chart as a sentence."""
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:
@@ -335,5 +337,7 @@ def finding(result: dict[str, Any]) -> str:
     rivals = {name: us for name, us in others.items() if style(name)[1] in "s^DP"}
     if rivals:
         best = min(rivals, key=lambda name: rivals[name])
-        text += f", the best peer ({style(best)[2]}) {rivals[best]:.2g}, {rivals[best] / mine:.2g} times as much"
+        text += (
+            f". The best peer ({style(best)[2]}) requires {rivals[best]:.2g} µs, {rivals[best] / mine:.2g} times that"
+        )
     return text + "."

@@ -1,4 +1,4 @@
-"""Previews: each scene by warpdiff and by every peer at its best setting, with the differences."""
+"""Previews: pictures of each scene by warpdiff and by every peer at its best setting, with their differences."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Width of a preview, in pixels.
+# Width of a preview [pixels].
 WIDTH = 320
-# Exposure of previews: value of percentile 99 of the reference luminance.
+# Exposure of previews: percentile 99 of the reference luminance is mapped to this value. Limit: larger values clip more
+# pixels to white.
 EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return pictures (height, width, 3) in sRGB as lists of bytes, with their differences from ours at 1e-3."""
+    """Return sRGB pictures (height, width, 3) of all scenes, with their errors relative to warpdiff at 1e-3."""
     results = {}
     for scene in scenes(setting.data):
         coherence = scene.coherences[0]
@@ -44,7 +45,7 @@ def measure(setting: Setting) -> dict[str, Any]:
             xyz = np.float64(shade(directions.scattering_vectors, directions.gains, setting.threads))
             reference_xyz = xyz if reference_xyz is None else reference_xyz
             error = errors.relative(xyz, reference_xyz)
-            # The brightness of the published rainbow is an artistic choice.
+            # The published rainbow has no defined brightness, so that its exposure is relative to its own luminance.
             by, exposure = (xyz, 1.0) if "rainbow" in name else (reference_xyz, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))
             image[illuminated] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
@@ -58,7 +59,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Differences from ours by name: [value, least, most, unit]."""
+    """Return the errors of peers relative to warpdiff by name: [value, least, most, unit]."""
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]
         for name, scene in results.items()
@@ -69,7 +70,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one sheet for all scenes."""
+    """Draw the pictures of all scenes on one sheet. Return the finding as text."""
     plt = figures.pyplot()
     columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(
@@ -90,7 +91,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
         stam = scene["pictures"].get(pareto.STYLES["Stam, CIE"][2])
         if stam:
             lines.append(f"{stam['median']:.2g} ({scene['scene']})")
-    text = "The published algorithm at its best setting looks the same as ours."
+    text = "The published algorithm at its best setting looks the same as warpdiff."
     if lines:
         medians = ", ".join(lines)
         text += f" The analytic shader with CIE colours, which models tracks only, has a median error of {medians}."

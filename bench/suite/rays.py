@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Number of random rays whose hits are checked.
+# Number of random rays whose hits are compared with brute force. Limit: time and memory of brute force.
 JUDGED = 1000
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return rays per second of all casters, on one thread and on all, and their errors."""
+    """Return rays per second of all programs, with one thread and with all threads, and their errors."""
     from bench.peers import raycasters
 
     setting.say("rays")
     for reason in raycasters.missing():
-        print(f"Rays exclude a program: {reason}.")
+        print(f"A program is excluded from the chart of rays: {reason}.")
     width = 320 if setting.quick else 640
     view = wd.View((0.0, 0.8, 1.55), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=width, height=3 * width // 4)
     rays = raycasters.rays_of(meshes.tube(segments_along=128, segments_around=64), view)
@@ -60,7 +60,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Figures by name: [value, least, most, unit]."""
+    """Return the figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
     for name, figure in results["casters"].items():
         for threads, rate in figure["mrays"].items():
@@ -71,7 +71,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw bars by threads."""
+    """Draw one bar per program and number of threads. Return the finding as text."""
     plt = figures.pyplot()
     casters = results["casters"]
     figure, axis = plt.subplots(figsize=(9.5, 0.62 * len(casters) + 1.7))
@@ -94,10 +94,10 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     own = most.pop("warpdiff, face by face")
     theirs = {name: rate for name, rate in most.items() if not name.startswith("warpdiff")}
     off = max(caster["wrong_hits"] for caster in casters.values())
-    text = f"Face by face, as in pictures, warpdiff finds the G-buffer of {own:.0f} M pixels per second"
+    text = f"By rasterization, as in pictures, warpdiff fills the G-buffer of {own:.0f} M pixels per second"
     if theirs:
         best = max(theirs, key=lambda name: theirs[name])
-        text += f"; {best} traces {theirs[best]:.0f} M rays per second, warpdiff through its hierarchy "
+        text += f". {best}: {theirs[best]:.0f} M rays per second; warpdiff with its hierarchy: "
         text += f"{most['warpdiff, bare hits']:.0f} M"
     wrong = "no hit is" if off == 0.0 else f"{off:.1e} of the hits are"
     return {"rays": f"{text}. Compared with brute force, {wrong} wrong."}

@@ -1,4 +1,4 @@
-"""``python -m bench``: all charts and their numbers in one run, and the comparison of two runs."""
+"""Run of ``python -m bench``: all charts and their numbers, and the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Modules with measure(setting), numbers(results) and chart(results, folder), in the order of the report.
+# Modules of the charts in the order of the report. Each has measure(setting), numbers(results) and chart(results,
+# folder).
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab",
 )  # fmt: skip
-# A figure has changed if it did by more than the spread of the rounds of both runs, and by more than this share.
+# Least relative change of a figure that counts, if it also exceeds the spread of the rounds of both runs. Limit:
+# smaller changes are noise of the machine.
 LEAST_CHANGE = 0.1
 
 
@@ -41,12 +43,12 @@ class Setting:
     """Settings of a run.
 
     Attributes:
-        quick: Whether figures have few points.
+        quick: Whether charts have few points.
         device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU, for warpdiff and peers.
-        data: Folder of the real inputs; None is the default folder.
+        threads: Number of CPU threads, for warpdiff and peers.
+        data: Folder of the real inputs; None means the default folder.
         rounds: Number of timed rounds; all calls are interleaved.
-        user_peers: Methods of the user by name: functions ``prepare(heightfield, coherence)``, see ``user_peer``.
+        user_peers: The user's own methods by name: functions ``prepare(heightfield, coherence)``, see ``user_peer``.
     """
 
     quick: bool
@@ -58,7 +60,7 @@ class Setting:
 
     @staticmethod
     def say(what: str) -> None:
-        """Print what is measured, with the time."""
+        """Print a message with the time of day."""
         print(f"[{time.strftime('%H:%M:%S')}] {what}", flush=True)
 
 
@@ -66,19 +68,19 @@ def run(
     folder: Path, *, quick: bool = False, parts: list[str] | None = None, device: str | None = None,
     threads: int | None = None, data: Path | None = None, peer: str | None = None,
 ) -> Path:  # fmt: skip
-    """Measure, write ``results.json`` and ``results.csv``, draw, and report.
+    """Measure all parts, write ``results.json`` and ``results.csv``, draw the charts, and write the report.
 
     Args:
         folder: Folder of the results.
-        quick: Whether figures have few points; a run then takes about two minutes.
-        parts: Names from ``PARTS``; None is all.
+        quick: Whether charts have few points; a run then takes about two minutes.
+        parts: Names from ``PARTS``; None means all.
         device: ``"cpu"`` (None) or a CUDA device.
-        threads: Threads on the CPU; None is one per core.
+        threads: Number of CPU threads; None means one per core.
         data: Folder of the real inputs.
-        peer: A method of the user, ``"module:function"``: see ``user_peer``.
+        peer: The user's own method, ``"module:function"``: see ``user_peer``.
 
     Returns:
-        The path of the report, a Markdown file with the figures and a finding below each.
+        The path of the report, a Markdown file with the charts and a finding below each.
     """
     unknown = sorted(set(parts or ()) - set(PARTS))
     if unknown:
@@ -86,7 +88,7 @@ def run(
     if importlib.util.find_spec("matplotlib") is None:
         raise ValueError("charts require matplotlib, which is not installed: pip install -e '.[bench]'")
     resolve_device(device)
-    # The disk cache would shorten the preparation before a first frame.
+    # The disk cache is disabled, because it would shorten the preparation of a first frame.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5, user_peer(peer))
@@ -102,7 +104,7 @@ def run(
         results["figures"] |= module.numbers(part_results)
         results["findings"] |= module.chart(part_results, folder)
         results["seconds"][name] = round(time.perf_counter() - begin, 1)
-        # Written after each part, so that a later failure loses nothing.
+        # Files are written after each part, so that a later failure loses no results.
         write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
         write_csv(folder / "results.csv", results["figures"])
         write(folder / "report.md", report(results))
@@ -110,13 +112,13 @@ def run(
 
 
 def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
-    """Import a method of the user.
+    """Import the user's own method.
 
     Args:
         text: ``"module:function"``. The function takes a height field and a coherence, and returns a function
-            ``shade(scattering_vectors, gains, threads)``: (n, 3) (u, v, w), (n,) and a number to linear XYZ (n, 3),
-            which are ``gains`` times the sum of ``warpdiff.reflectance`` without geometry factors. It raises
-            ``ValueError`` for a coherence that it does not support.
+            ``shade(scattering_vectors, gains, threads)``. Its arguments are (u, v, w) of shape (n, 3), gains (n,) and
+            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the sum of ``warpdiff.reflectance``
+            without geometry factors. It raises ``ValueError`` for an unsupported coherence.
 
     Returns:
         The function by its name.
@@ -136,7 +138,7 @@ def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
 
 
 def machine(setting: Setting) -> dict[str, Any]:
-    """Return the machine and the versions of a run."""
+    """Return a description of the machine and the versions of the packages."""
     versions = {}
     for name in PACKAGES:
         try:
@@ -160,7 +162,10 @@ def processor() -> str:
 
 
 def commit() -> str:
-    """Return the checkout's commit, with a plus if it was changed; an empty string without git."""
+    """Return the commit of the checkout, with a plus sign if files have changed.
+
+    Without git, return an empty string.
+    """
     git = functools.partial(
         subprocess.run, cwd=Path(__file__).parent, capture_output=True, text=True, check=False, timeout=20
     )
@@ -179,7 +184,7 @@ def write(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
-    """Write one figure per line."""
+    """Write the figures to a CSV file, one per line."""
     with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
@@ -187,7 +192,7 @@ def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
 
 
 def report(results: dict[str, Any]) -> str:
-    """Return the report: figures with their findings."""
+    """Return the text of the report: charts with their findings."""
     machine = results["machine"]
     seconds = ", ".join(f"{name} {s:.0f} s" for name, s in results["seconds"].items())
     made_by = f"warpdiff {machine['warpdiff']}" + (f" at {machine['commit']}" if machine["commit"] else "")
@@ -203,7 +208,7 @@ def compare(old: Path, new: Path) -> list[str]:
 
     Args:
         old: Path of the first ``results.json``.
-        new: Path of the second.
+        new: Path of the second ``results.json``.
 
     Returns:
         Lines of text; the first is a summary.

@@ -1,8 +1,8 @@
 """Scaling of time and memory with pixels, samples, patch, heights, window, lights, mesh and threads.
 
-Each point runs in its own process: fingers on a tube at a tolerance of 1e-2, with one parameter changed. Measured are
-the preparation before the first frame (plan, coefficients, table), the frames of a moving light, and the increase of
-the process's peak memory.
+Each point runs in its own process. It renders fingers on a tube at a tolerance of 1e-2, with one parameter changed. The
+measured quantities are the preparation before the first frame (plan, coefficients, table), the frames of a moving
+light, and the increase of the process's peak memory.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
 }  # fmt: skip
-# By name: parameter, values, and title of the x axis.
+# Series of points in the scaling chart by name: varied parameter, its values, and title of the x axis.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
     "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
@@ -38,12 +38,12 @@ SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "faces": ("along", (16, 64, 256, 512), "faces of the mesh"),
     "threads": ("threads", (1, 2, 4, 8, 16), "threads"),
 }
-# Number of frames that are timed.
+# Number of timed frames per point.
 FRAMES = 5
 
 
 def x_of(series: str, value: float) -> float:
-    """Return the number on the x axis for a parameter's value."""
+    """Return the position on the x axis for a value of the parameter."""
     if series == "pixels":
         return value * value * 0.75
     if series == "samples":
@@ -57,7 +57,7 @@ def most_memory() -> float:
     """Return the peak memory of this process [MB]."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # getrusage starts with the memory of the process that this one was forked from.
+        # The value of getrusage is not used here, because it includes the memory of the parent process.
         return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 
@@ -65,7 +65,7 @@ def most_memory() -> float:
 
 
 def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
-    """Measure one point, in this process."""
+    """Measure one point of a series in this process."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     p = BASE | parameters
     heightfield = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
@@ -74,12 +74,12 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     options = {"device": device, "threads": p["threads"]}
     small = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     few = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=32, height=24)
-    # Loads libraries and most kernels.
+    # A first small picture loads the libraries and most kernels.
     tiny = wd.meshes.tube(segments_along=16, segments_around=8)
     wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
     before = most_memory()
     begin = time.perf_counter()
-    # For patches that are small against the window no table meets the tolerance.
+    # If the patch is small compared with the window, no table meets the tolerance and wavelengths are sampled.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
@@ -99,7 +99,7 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure all series; a quick run has the first, middle and last value of two of them."""
+    """Measure all series. A quick run has three values of two series."""
     results = {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for name, (parameter, values, _) in SERIES.items():
@@ -113,7 +113,7 @@ def measure(setting: Setting) -> dict[str, Any]:
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # The first of two runs compiles the kernels of the height field; its times are dropped.
+            # In some series the first of two runs compiles kernels for the height field, and its times are discarded.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
@@ -130,12 +130,12 @@ def _in_process(parameters: dict[str, Any], setting: Setting) -> dict[str, Any]:
 
 
 def exponent(x: list[float], y: list[float]) -> float:
-    """Slope of log y over log x."""
+    """Return the slope of log y over log x."""
     return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-9)), 1)[0])
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Figures by name: [value, least, most, unit]."""
+    """Return the figures by name: [value, least, most, unit]."""
     result: dict[str, list[Any]] = {}
     for name, points in results.items():
         for point in points:
@@ -147,7 +147,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per series: seconds and gigabytes, with fitted exponents."""
+    """Draw one panel per series: times and memory, with fitted exponents. Return the finding as text."""
     plt = figures.pyplot()
     columns = min(len(results), 4)
     rows = -(-len(results) // columns)

@@ -1,4 +1,4 @@
-"""Scenes of the charts: timing, errors and previews use the pixels of one picture per scene."""
+"""Scenes of the charts. Times, errors and previews use the pixels of one picture per scene."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ if TYPE_CHECKING:
 IOR = 1.5
 # Width of the pictures whose pixels are timed.
 WIDTH = 960
-# Pixels per frame, by which preparation times are divided.
+# Number of illuminated pixels per frame, which converts times per pixel to times per frame.
 FRAME_PIXELS = 150_000
 
 
 class Directions(NamedTuple):
-    """Directions to the light, scattering vectors (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
+    """Directions to the light and scattering vectors (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
 
     to_lights: np.ndarray
     scattering_vectors: np.ndarray
     gains: np.ndarray
 
     def subset(self, count: int) -> Directions:
-        """Return at most ``count`` of them, evenly spaced, in their order."""
+        """Return at most ``count`` directions, evenly spaced, in their order."""
         chosen = np.linspace(0, len(self.gains) - 1, min(count, len(self.gains))).astype(int)
         return Directions(*(array[chosen] for array in self))
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A body with a surface, under one light.
+    """A body with a height field, under one light.
 
     Attributes:
         name: Name in files.
         title: Title in charts.
-        make: Function that makes the height field, a new object without caches.
+        make: Function that makes the height field as a new object without caches.
         mesh: Mesh of the body.
         light: Light.
         eye, target, fov_y_deg: Camera.
-        coherences: Coherences of its charts.
+        coherences: Kinds of coherence in the charts of the scene.
     """
 
     name: str
@@ -68,11 +68,11 @@ class Scene:
 
     @functools.cached_property
     def heightfield(self) -> wd.HeightField:
-        """The height field."""
+        """Height field of the scene, made once."""
         return self.make()
 
     def view(self, width: int) -> wd.View:
-        """Return the camera for a picture of a width."""
+        """Return the camera for a picture of ``width`` pixels."""
         return wd.View(self.eye, self.target, fov_y_deg=self.fov_y_deg, width=width, height=3 * width // 4)
 
     def directions(self, coherence: wd.Coherence, width: int = WIDTH) -> tuple[Directions, np.ndarray]:
@@ -96,7 +96,7 @@ def directions(
 
 
 def scenes(data: Path | None) -> list[Scene]:
-    """Return all scenes; fingers replace the scan if it is absent."""
+    """Return all scenes. Synthetic fingers replace the scan if its file is absent."""
     tube = meshes.tube(segments_along=128, segments_around=64)
     on_tube: dict[str, Any] = {
         "mesh": tube, "light": wd.DirectionalLight((0.1, 0.9, 1.2)), "eye": (0.0, 1.6, 3.1), "target": (0.0, 0.0, 0.0),
@@ -113,7 +113,7 @@ def scenes(data: Path | None) -> list[Scene]:
         return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
 
     def disc() -> wd.HeightField:
-        # As long as the scan; in a shorter patch the window would cover the same pits twice.
+        # The patch is as long as the scan. In a shorter patch the window would cover the same pits twice.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
     measured = inputs.scan(data)

@@ -1,8 +1,8 @@
-"""Limits of each method, and errors of the automatic choice: eight regimes, one panel each.
+"""Limits of each method and errors of the automatic choice in eight regimes, one panel each.
 
-Errors are the 99th percentile over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra, f
-a thousandth of the 99th percentile of Y or ρ. Float32 is the library's kernel, float64 the same series in NumPy. The
-reference is the float64 reference, the direct sum, or a closed form.
+Errors are 99th percentiles over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The
+floor f is a thousandth of the 99th percentile of Y or ρ. Float32 curves are from the library's kernel, float64 curves
+from the same series in NumPy. References are the float64 reference, the direct sum, or a closed form.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Tolerance of the requests.
+# Tolerance of the library calls of the automatic choice.
 TOLERANCE = 1e-2
-# All points of a regime.
+# Slice that selects all points of a regime.
 ALL = slice(None)
-# Tolerance of a method whose own limit is measured.
+# Tolerance of calls that measure the accuracy limit of a method.
 FINEST = 1e-5
 WAVELENGTHS_UM = np.array([0.4, 0.45, 0.55, 0.65, 0.75])
 AUTOMATIC = "automatic, tolerance 1e-2"
@@ -39,52 +39,62 @@ SERIES = {
 }  # fmt: skip
 PUBLISHED = "Taylor, 37 terms as published"
 STEPS = {5.0: "fixed steps of 5 nm", 1.0: "fixed steps of 1 nm"}
-FLOOR, ROUNDED = "3 × 3 found by floor", "3 × 3 found by rounding"
+FLOOR, ROUNDED = "3 × 3 neighbours by floor", "3 × 3 neighbours by rounding"
 SINGLE = "everything in float32"
-FACING = "source not foreshortened"
+FACING = "source without foreshortening"
 ORDER_WISE = "one point per order"
-SAMPLED = "any method on the samples"
+SAMPLED = "any method on these samples"
 RESAMPLED = "resampled to 0.02 µm first"
 PQ, PQ64 = "p, q as published", "p, q as published, float64"
 PLAIN = "sin Nx / N sin x in float32"
 NEAREST = "7 nearest orders"
-EQUAL, CUBICS = "equal steps in λ, plain sum", "as many in 1/λ, by cubics"
+EQUAL, CUBICS = "equal steps in λ, plain sum", "same number in 1/λ, cubics"
 SMALL = ", small patch"
 FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """One regime: title, axis and curves of its panel."""
+    """Panel of one regime in the stability chart.
+
+    Attributes:
+        title: Title of the panel.
+        axis: Label of the x axis.
+        x: Values on the x axis.
+        curves: Errors at each x, by the name of the curve; NaN where a method is not evaluated.
+        note: Note in the panel.
+        ticks: Ticks of the x axis.
+        warned: Indices of points at which an automatic choice refuses or warns. Its result is still drawn.
+    """
 
     title: str
     axis: str
     x: np.ndarray
-    curves: dict[str, list[float]]  # errors at each x; NaN where a method is not tried
+    curves: dict[str, list[float]]
     note: str
     ticks: tuple[float, ...]
-    warned: dict[str, list[int]]  # points at which an automatic choice refuses or warns; its result is still drawn
+    warned: dict[str, list[int]]
 
 
 class Points:
-    """Errors by curve and point, and the points at which an automatic choice refuses or warns."""
+    """Errors of a panel by curve and point, and the points at which an automatic choice refuses or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []
         self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
-        """Begin a point."""
+        """Begin a new point of the x axis."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:
-        """Set a curve's error at this point, or the larger of two."""
+        """Set the error of a curve at the present point, or the larger of two errors."""
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Set the error of the automatic choice."""
+        """Evaluate the library's automatic choice at the present point of the x axis, and add its error."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
@@ -99,7 +109,7 @@ class Points:
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray,
     ) -> None:  # fmt: skip
-        """Set the errors of wavelengths 5 nm and 1 nm apart."""
+        """Set the errors of sums over wavelengths with steps of 5 nm and 1 nm."""
         for step, label in STEPS.items():
             xyz = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
             self.add(label, methods.colour_error(xyz, exact))
@@ -107,7 +117,7 @@ class Points:
     def neighbourhoods(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
     ) -> None:
-        """Set the errors of 3 × 3 coefficients against all of them, on the same wavelengths."""
+        """Set the errors of 3 × 3 coefficients relative to all coefficients, for the same wavelengths."""
         wavelengths, weights = methods.fixed_steps(step_nm)
 
         def colour(**keywords: Any) -> np.ndarray:
@@ -121,14 +131,14 @@ class Points:
         self.add(ROUNDED, methods.colour_error(colour(neighbour_extent=1), exact))
 
     def panel(self, title: str, axis: str, x: Any, note: str, ticks: tuple[float, ...]) -> Panel:
-        """Return the panel of all points."""
+        """Return the panel with all points."""
         names = dict.fromkeys(name for point in self._points for name in point)
         curves = {name: [point[name] for point in self._points] for name in names}
         return Panel(title, axis, np.asarray(x), curves, note, ticks, self.warned)
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Every series in float32 and in float64."""
+    """Return the panel of the height range: every series in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -164,7 +174,10 @@ def height_range(which: slice = ALL) -> Panel:
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Neighbourhoods fail for short windows, fixed wavelengths for long windows."""
+    """Return the panel of the window width.
+
+    3 × 3 neighbours fail for short windows, and fixed wavelengths fail for long windows.
+    """
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
     for sigma in x.tolist():
@@ -180,7 +193,10 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Nine coefficients are too few for a large patch; orders of any patch lie between wavelengths 5 nm apart."""
+    """Return the panel of the patch size: 3 × 3 coefficients are too few for large patches.
+
+    Fixed wavelengths 5 nm apart miss orders of any patch.
+    """
     lights, views = (tilted_up(directions) for directions in methods.hemisphere_pairs(48))
     window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
     for size in x:
@@ -194,14 +210,17 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Directions within 30° of the normal, for patches whose coefficients are many."""
+    """Return directions moved to within 30° of the normal, for patches with many coefficients."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
 
 
 def order_rate(which: slice = ALL) -> Panel:
-    """Fixed wavelengths fail far from the mirror direction, one point per order fails close to it."""
+    """Return the panel of the distance from the mirror direction.
+
+    Fixed wavelengths fail far from the mirror direction, and one point per order fails near it.
+    """
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
     heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
     for seed, across in enumerate(x):
@@ -217,14 +236,18 @@ def order_rate(which: slice = ALL) -> Panel:
 
 
 def grazing(which: slice = ALL) -> Panel:
-    """1 + ωi·ωr cancels at the mirror direction towards the horizon, and a source is foreshortened without end."""
+    """Return the panel of grazing light and view.
+
+    The sum 1 + ωi·ωr loses digits near the horizon, and the foreshortening of a source has no limit.
+    """
     window, source = wd.Coherence(), wd.Coherence("source")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
     x, points = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 45.0)[which], Points()
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
         points.start()
-        # The mirror direction's brightness would hide all others: the worse of two calls.
+        # A call near the mirror direction would hide errors of darker directions. The chart shows the worse of two
+        # calls.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
             same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)
@@ -243,7 +266,7 @@ def grazing(which: slice = ALL) -> Panel:
 
 
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
-    """XYZ of a sine without samples: |H_m|² = J_m(πκ·depth)², in the plane of incidence."""
+    """Return XYZ of a continuous sine grating in the plane of incidence, by |H_m|² = J_m(πκ·depth)²."""
     tau, weights = reference.quadrature(512, "D65")
     scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
@@ -257,7 +280,10 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """No method can detect what the samples alias; finer samples can."""
+    """Return the panel of the sample spacing.
+
+    No method detects aliasing by its height samples. Resampling to 0.02 µm in advance reduces the error.
+    """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
     exact = sine_colour(period, depth, lights, views, sigma)
@@ -276,7 +302,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """A thousand periods near whole turns from one to the next."""
+    """Return the panel of replicas: a thousand periods, with phases between periods near whole turns."""
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
@@ -284,7 +310,7 @@ def periods(which: slice = ALL) -> Panel:
         points.start()
         lights, views = methods.near_resonance(heightfield, away, wavelength)
         scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
-        # As the vectors have it, to the last digit.
+        # The phase is computed from the vectors, so that it has the same rounding.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
             direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]
@@ -309,7 +335,7 @@ def periods(which: slice = ALL) -> Panel:
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
-    """Plain sums in equal steps against the plan's quadrature, as many wavelengths each."""
+    """Return the panel of wavelength steps: plain sums with equal steps, compared with the plan's quadrature."""
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
@@ -322,7 +348,7 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
-            # The automatic choice has no steps: a level line, the worse of both cases.
+            # The automatic choice has no wavelength step. Its curve is constant and shows the worse of both cases.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
@@ -331,13 +357,13 @@ def wavelength_steps(which: slice = ALL) -> Panel:
 
 REGIMES = (height_range, window_width, patch_size, order_rate, grazing, pitch, periods, wavelength_steps)
 
-# Colours like those of ColorBrewer: a family of methods has a family of hues.
+# Colours similar to those of ColorBrewer. Related methods have similar hues.
 RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"
 BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
 )  # fmt: skip
 DOTTED, DASHED = (0, (1, 1.2)), (0, (4, 2))
-# The legend, group by group.
+# Styles of the curves, by the groups of the legend.
 STYLES: dict[str, dict[str, dict[str, object]]] = {
     "Automatic choice": {
         AUTOMATIC: {"color": "black", "linewidth": 3.0, "zorder": 10},
@@ -363,12 +389,13 @@ STYLES: dict[str, dict[str, dict[str, object]]] = {
         NEAREST: {"color": CYAN},
     },
 }  # fmt: skip
+# Range of the error axis.
 LEAST, MOST = 1e-9, 30.0
 TINT = "#fbe3e0"
 
 
 def style_of(name: str) -> dict[str, object]:
-    """Return the style of a curve; float64 curves of a series are dashed."""
+    """Return the style of a curve. Float64 curves of a series are dashed."""
     styles = {label: style for group in STYLES.values() for label, style in group.items()}
     if name in styles:
         return {"linewidth": 1.9, **styles[name]}
@@ -376,7 +403,7 @@ def style_of(name: str) -> dict[str, object]:
 
 
 def draw(panels: list[Panel], folder: Path) -> None:
-    """Write the figure."""
+    """Draw all panels with their legend, and write the chart."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -404,7 +431,7 @@ def draw(panels: list[Panel], folder: Path) -> None:
     marks = [
         Line2D([], [], label="library, float32", color=GREY, linewidth=1.9),
         Line2D([], [], label="the same in float64", color=GREY, linestyle=DASHED, linewidth=1.2),
-        Line2D([], [], label="off the scale, infinite, NaN", color=GREY, linestyle="", marker="x"),
+        Line2D([], [], label="beyond the scale, infinite or NaN", color=GREY, linestyle="", marker="x"),
         Line2D([], [], label="warned or refused", color="black", linewidth=1.0, marker="o", mfc="white"),
         Patch(facecolor=TINT, edgecolor="#c0392b", label="error above 1e-2: fails"),
     ]
@@ -423,12 +450,12 @@ def draw(panels: list[Panel], folder: Path) -> None:
 
 
 def written(tick: float) -> str:
-    """Return the text of a tick."""
+    """Return the text of an axis tick."""
     return f"{tick:g}" if tick >= 2e-3 else f"$10^{{{round(math.log10(tick))}}}$"
 
 
 def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object], warned: list[int]) -> None:
-    """Draw one curve of a panel; crosses at the upper edge mark errors beyond it."""
+    """Draw one curve of a panel. Crosses at the upper edge mark errors beyond the scale."""
     x = panel.x
     beyond = errors >= MOST
     y = np.clip(errors, LEAST * 1e-3, MOST)
@@ -445,7 +472,7 @@ def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object],
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the panels; a quick run has every fifth point, without the ends, which may take minutes."""
+    """Measure the panels. A quick run has every fifth point, without the slow points at the ends."""
     results = {}
     for regime in REGIMES:
         setting.say(f"stability: {regime.__name__}")
@@ -465,7 +492,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one figure."""
+    """Draw all panels in one chart. Return the finding as text."""
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

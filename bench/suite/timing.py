@@ -1,4 +1,4 @@
-"""Interleaved times: every call once per round, medians with the spread of the rounds."""
+"""Interleaved timing: every call runs once per round. Results are medians with the range of the rounds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Times(NamedTuple):
-    """Seconds: median, minimum and maximum of a call's rounds, and the excess of the first call."""
+    """Times of a call [s]: median, minimum and maximum of the rounds, and the excess of the first call."""
 
     median: float
     least: float
@@ -21,7 +21,7 @@ class Times(NamedTuple):
 
 
 def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, Times]:
-    """Time calls, interleaved; the first round is counted separately."""
+    """Time calls, interleaved. The first round is counted separately."""
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds + 1):
         for name, call in calls.items():

@@ -1,11 +1,12 @@
-"""Validity of scalar diffraction: its order efficiencies against rigorous ones, over period and depth.
+"""Validity of scalar diffraction: errors of its order efficiencies relative to rigorous ones, over period and depth.
 
-The plane of incidence is across the grooves, at three angles; both polarisations are averaged. The reference is a
-published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It requires
-minutes, so its efficiencies are stored in ``rigorous.json``, which ``python -m bench.suite.validity`` writes. The
-reference itself is checked by its energy balance and by finer meshes, whose results are stored with it.
-Errors are relative to the reflectance of a flat surface, which the
-library computes by Schlick's formula for glass; the error of that formula is excluded.
+The plane of incidence is perpendicular to the grooves, at three angles; both polarisations are averaged. The reference
+is a published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It
+requires minutes, so its efficiencies are stored in ``rigorous.json``, which ``python -m bench.suite.validity`` writes.
+The file also has two checks of the reference: its energy balance and results on finer meshes.
+
+Errors are relative to the reflectance of a flat surface. The library computes it by Schlick's formula for glass; the
+error of that formula is excluded.
 """
 
 from __future__ import annotations
@@ -29,47 +30,49 @@ if TYPE_CHECKING:
     from bench.suite.runner import Setting
 
 STORED = Path(__file__).with_name("rigorous.json")
-# Profile, index of refraction (None: a perfect conductor).
+# Gratings by title: profile and index of refraction (None: a perfect conductor).
 CASES = {
     "Sine, perfect mirror": ("sine", None), "Square grooves, perfect mirror": ("square", None),
     "Sawtooth, perfect mirror": ("sawtooth", None), "Sine, n = 1.5": ("sine", 1.5),
 }  # fmt: skip
-# Standard deviation of the heights for a depth of 1, peak to valley.
+# Standard deviation of the heights of each profile, relative to the depth from peak to valley.
 RMS = {"sine": 1.0 / math.sqrt(8.0), "square": 0.5, "sawtooth": 1.0 / math.sqrt(12.0)}
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
+# Angles of incidence [degrees].
 ANGLES = (0.0, 30.0, 60.0)
-# In wavelengths. With these ends no order, neither in air nor in glass, is within 4° of the horizon, where rigorous
-# efficiencies jump (Rayleigh's anomalies); chance brings few surfaces nearer.
+# Periods and depths [wavelengths]. With these end points no order lies within 4° of the horizon, neither in air nor in
+# glass. Rigorous efficiencies jump there (Rayleigh anomalies).
 PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
 # Number of height samples per period.
 SAMPLES = 2048
-# Unit of the stored efficiencies.
+# Unit of the stored efficiencies. Limit: rounding to it is small compared with the errors of the chart.
 UNIT = 1e-5
-# Limit of the error of an order, as a share of the reflected power.
+# Largest error of an order that counts as correct, as a share of the reflected power.
 LIMIT = 0.1
+# Errors at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
 DENSE = np.geomspace(1e-3, 3.0, 400)
-# Wavelength, in nm; periods and depths are relative to it.
+# Wavelength [nm], to which periods and depths are relative. Limit: the spectral range of the solver's material files.
 WAVELENGTH_NM = 500.0
 
 
 class Integral:
-    """The solver by boundary integrals; lengths in wavelengths."""
+    """Reference solver by boundary integrals. Lengths are in wavelengths."""
 
     def __init__(self) -> None:
         from gratinglab import Illumination, problem, profiles, solvers
 
         self._illumination, self._problem, self._profiles = Illumination.classical, problem.Problem, profiles
         self._solver = solvers.get_solver("integral")
-        # Indices are read from files named by an environment variable.
+        # The solver reads indices of refraction from files in a folder that an environment variable names.
         self._folder = tempfile.TemporaryDirectory()
         os.environ["GRATINGLAB_MATERIALS"] = self._folder.name
 
     def __call__(
         self, shape: str, period: float, depth: float, angle: float, index: float | None, *, finer: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-        """Return orders, their efficiencies, and the error of the energy balance."""
+        """Return the diffraction orders of a grating, their efficiencies, and the error of the energy balance."""
         profile = {
             "sine": lambda: self._profiles.Sinusoidal(depth_fraction=depth / period),
             "square": lambda: self._profiles.Lamellar(depth_fraction=depth / period),
@@ -79,7 +82,7 @@ class Integral:
         if index is not None:
             name = f"n{index:g}"
             Path(self._folder.name, f"{name}.txt").write_text(f"2.0 {1.0 - index} 0.0\n3.0 {1.0 - index} 0.0\n")
-        # The mesh is finer towards corners. Its coarsest part has 6 points per wavelength, as the solver defines them.
+        # The mesh is finer towards corners. Its coarsest part has 6 points per wavelength, by the solver's definition.
         points = 24.0 * (period + 2.0 * depth) * max(1.0, (index or 1.0) / 1.5)
         scan = self._solver.solve(
             self._problem(period=WAVELENGTH_NM * period, profile=profile, coating=name),
@@ -93,7 +96,7 @@ class Integral:
 
 
 def recompute() -> None:
-    """Solve all cases and write the file."""
+    """Solve all cases with the reference solver and write their efficiencies to the file."""
     solve, stored = Integral(), {}
     for case, (shape, index) in CASES.items():
         begin, rows, energy, finer = time.perf_counter(), [], [], []
@@ -135,19 +138,19 @@ def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
 
 
 def error(shape: str, index: float | None, period: float, depth: float, angle: float, row: list[int]) -> float:
-    """Return the largest error of an order."""
+    """Return the largest error of any order of a grating, as a share of the reflected power."""
     flat, ours = flat_reflectance(index, angle)
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-    # Lengths are in wavelengths: of 1 µm here.
+    # Lengths are in wavelengths, and the wavelength is 1 µm here.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
     return float(np.max(np.abs(efficiencies - rigorous)))
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error, and counts for the library's rule."""
+    """Return maps of the error over period and depth, and counts for the library's rule of validity."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
@@ -168,7 +171,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def rule(error: np.ndarray, bounds: np.ndarray) -> dict[str, float]:
-    """Return counts and errors inside the library's bound, and where the bound says that results are invalid."""
+    """Return counts and errors of gratings for which the library's bound states reliable or invalid results."""
     inside, untrusted = bounds <= LIMIT, bounds >= SCALAR_INVALID
     return {
         "gratings": error.size, "right_within_a_tenth": int(np.sum(error <= LIMIT)), "inside": int(np.sum(inside)),
@@ -179,7 +182,7 @@ def rule(error: np.ndarray, bounds: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps into ``validity.png`` and ``validity.svg``; returns the finding."""
+    """Draw the maps of the error. Return the finding as text."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -196,7 +199,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
             linestyles="solid",
         )  # fmt: skip
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
-        # Depth at which the bound, which grows with the depth, reaches its limit.
+        # The drawn curve is the depth at which the error bound reaches its limit. The bound increases with the depth.
         limit = [
             np.interp(LIMIT, [scalar_error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine
         ]
@@ -218,8 +221,8 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     bar.ax.set_yticklabels(["0.001", "0.01", "0.1", "1"])
     bar.set_label("largest error of any order, as a share of the reflected power (worst of 0°, 30°, 60°)")
     figure.suptitle(
-        "Error of scalar diffraction in the efficiency of an order, against rigorous solutions\n"
-        "rule: (4πs/λ)² min(1, λ/P) = 0.1, s rms height, P period of a sine of the same mean slope",
+        "Error of scalar diffraction in the efficiency of an order, relative to rigorous solutions\n"
+        "rule: (4πs/λ)² min(1, λ/P) = 0.1; s: rms height, P: period of a sine with the same mean slope",
         fontsize=11,
     )
     figures.save(figure, folder, "validity")
@@ -236,7 +239,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts for the rule by name: [value, least, most, unit]."""
+    """Return the counts for the rule of validity by name: [value, least, most, unit]."""
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
         for case, counts in results["rule"].items()

@@ -1,5 +1,9 @@
-"""References of measurements and tests; they share no code with the kernels.
+"""References for measurements and tests, which share no code with the kernels.
 
-- ``reference`` (float64 colours), ``brute_force`` (rays), ``numpy_methods`` (series and steps in NumPy)
-- ``configurations``: random calls; ``judge``: errors of calls on directions that no plan has read; ``errors``: measures
+- ``reference``: colours of directions and pixels in float64
+- ``brute_force``: intersections of rays with triangles
+- ``numpy_methods``: series and λ steps in NumPy
+- ``configurations``: random calls
+- ``judge``: errors of calls on directions that no plan has read
+- ``errors``: error measures
 """

@@ -1,4 +1,4 @@
-"""Rays against every triangle, and the shading frame, in NumPy and float64; shares no code with the library."""
+"""Intersections of rays with triangles, and shading frames, in NumPy and float64; shares no code with the library."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import numpy as np
 
 
 def pixel_rays(eye, target, up, *, width, height, fov_y_deg=None, extent_y=None, offsets=(0.0, 0.0)):
-    """Origins and unit directions (height * width, 3) from a camera-to-world matrix; z is the camera's back."""
+    """Return origins and unit directions (height * width, 3) of camera rays, from a camera-to-world matrix.
+
+    The z axis of the camera points backwards.
+    """
     eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
     z = (eye - target) / np.linalg.norm(eye - target)
     x = np.cross(up, z)
@@ -25,10 +28,11 @@ def pixel_rays(eye, target, up, *, width, height, fov_y_deg=None, extent_y=None,
 
 
 def intersect(origins, directions, vertices, faces, chunk=256):
-    """Nearest hits by Möller and Trumbore's test of all pairs.
+    """Find the nearest hits of rays by the Möller-Trumbore test of all pairs of rays and triangles.
 
-    Returns t (inf for a miss), face (-1), barycentrics (k, 3), and how near the ray passes any edge of a triangle that
-    lies before or at the hit: the least |barycentric| of the hit, and of the triangles that are just missed.
+    Return t (inf for a miss), face index (−1 for a miss), barycentric coordinates (k, 3), and the margin to the nearest
+    edge. The margin is the least |barycentric coordinate| of the hit and of triangles that the ray narrowly misses
+    before it.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
@@ -63,7 +67,7 @@ def intersect(origins, directions, vertices, faces, chunk=256):
 
 
 def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents, handedness, smooth=True):
-    """Return t, b, n (k, 3) of hits."""
+    """Return the shading frames of hits: tangent t, bitangent b and normal n, each of shape (k, 3)."""
     corners = faces[face]
     p0, p1, p2 = (vertices[corners[:, k]] for k in range(3))
     geometric = np.cross(p1 - p0, p2 - p0)
@@ -74,7 +78,7 @@ def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents,
     n = rotated * n / np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * away, axis=1, keepdims=True)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    # In the plane of n and the view, at the angle whose cosine is 0.01.
+    # Normals at grazing views are rotated in the plane of n and the view direction, until their cosine is 0.01.
     tilted = 0.01 * away + np.sqrt(1.0 - 1e-4) * (n - cosine * away) / sine
     n = np.where(cosine < 0.01, tilted, n)
     t = np.einsum("kc,kcd->kd", bary, tangents[corners])

@@ -1,8 +1,8 @@
-"""Random calls that test plans: surface, coherence, tolerance and directions, each from its index and a seed.
+"""Random calls that test plans: surface, coherence, tolerance and directions, each determined by an index and a seed.
 
-Coherences and tolerances are cycled, so that every run of ``len(STRATA)`` indices has one of each; everything else is
-random. Calls are lists of directions, few and many, shuffled and sorted; grids of directions in row order; reflectance
-maps; and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
+Coherences and tolerances are cycled, so that ``len(STRATA)`` consecutive indices contain each combination once. All
+other parameters are random. Calls are lists of directions (few and many, shuffled and sorted), grids of directions in
+row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
 """
 
 from __future__ import annotations
@@ -16,42 +16,47 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Periods have lobes that only a spectrum resolves, so they have two tolerances only.
+# Combinations of coherence and tolerance. Replicas have only two tolerances, because their narrow lobes are resolved
+# only by dense wavelength samples.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Half of the calls have none of these.
+# Materials of calls. Half of the calls use the default material instead.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
     wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0),
 )  # fmt: skip
+# Sizes of grids of directions, of reflectance maps and of frames.
 SIDES = (64, 70, 96, 128, 200, 256, 333, 512, 512, 512, 1000, 1024)
 MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
-# Calls of fewer directions are evaluated on all of them.
+# Number of directions below which all directions of a call are evaluated.
 FEW = 4096
+# Largest number of directions of a call. Limit: computing time.
 MOST = 262_144
-# Without a table, a direction requires a tenth of a millisecond or more.
+# Largest numbers of directions of calls without a table, and of replicas. Limit: computing time, because a direction
+# then takes at least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
-# Largest angle of directions from the normal, in degrees.
+# Largest angle of directions from the normal [degrees], and its cosine.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
-# Slightly below the pitch that 380 nm and |(u, v)| = 2 require.
+# Largest sample spacing [µm] of resampled surfaces. Limit: slightly less than 380 nm and |(u, v)| = 2 require.
 COARSEST_PITCH_UM = 0.0945
-# The reference sums a replicated patch sample by sample, and its lobes one by one.
+# Largest number of samples of a replicated patch, and largest length of all its periods [µm]. Limits: the reference
+# sums each sample and resolves each lobe.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
-# Largest angle of a map's light from the normal, in degrees.
+# Largest angle of incidence of a reflectance map's light [degrees].
 MAP_LIGHT_DEG = 75.0
 
 
 class Picture(NamedTuple):
-    """A frame of a body."""
+    """A picture of a body: name of the body, light and view."""
 
     body: str
     light: wd.DirectionalLight
@@ -63,7 +68,7 @@ class Picture(NamedTuple):
 
 
 class Configuration(NamedTuple):
-    """One call, with a description in words."""
+    """One call of the library, with a description of its parameters in words."""
 
     index: int
     seed: int
@@ -74,9 +79,9 @@ class Configuration(NamedTuple):
     surface: str
     layout: str
     words: str
-    to_light: np.ndarray | None = None  # (n, 3), or (3,) for a map
-    to_view: np.ndarray | None = None  # (n, 3)
-    size: int = 0  # of a map
+    to_light: np.ndarray | None = None  # directions to the light (n, 3), or (3,) for a map
+    to_view: np.ndarray | None = None  # directions to the viewer (n, 3)
+    size: int = 0  # width of a reflectance map [pixels]
     picture: Picture | None = None
     material: wd.Material | None = None
 
@@ -95,7 +100,7 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the configuration of an index; ``scan`` is a height field to crop, None replaces it by fingers."""
+    """Return the configuration of an index. ``scan`` is a height field to crop; None means that fingers replace it."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -103,7 +108,7 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     heightfield, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
     coherence = a_coherence(rng, kind, heightfield)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
-    # Drawn from a separate generator, so that everything else of a seed is unchanged.
+    # The material has a separate random generator, so that the other parameters of a seed do not depend on it.
     apart = np.random.default_rng([seed, index, 26])
     material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
     case = Configuration(
@@ -124,7 +129,10 @@ def log_uniform(rng, low, high):
 
 
 def surface(rng, name, scan, *, small=False):
-    """A height field of a kind, of a height range of 0.001 to 3 µm, and its name; small ones have few samples."""
+    """Return a random height field with the given name, and its final name.
+
+    Height ranges are 0.001 to 3 µm. Small height fields have few samples.
+    """
     seed = int(rng.integers(1 << 30))
     if name == "scan" and scan is not None:
         size = log_uniform(rng, 2.0, 60.0)
@@ -172,7 +180,7 @@ def surface(rng, name, scan, *, small=False):
 
 
 def diagonal(rng, heightfield):
-    """Ridges along the diagonal of a square patch, which stays periodic, with some roughness on them."""
+    """Return a square periodic height field with its ridges along the diagonal, with some roughness added."""
     n = min(heightfield.shape)
     rows, columns = np.mgrid[:n, :n]
     ridges = heightfield.heights_um[rows, (columns + rows) % n]
@@ -180,7 +188,7 @@ def diagonal(rng, heightfield):
 
 
 def rough(rng):
-    """Gaussian noise of a Gaussian or an exponential spectrum."""
+    """Return a height field of Gaussian noise with a Gaussian or an exponential autocorrelation."""
     shape = tuple(int(n) for n in rng.integers(32, 257, size=2))
     pitch = rng.uniform(0.04, 0.09)
     fy, fx = (np.fft.fftfreq(n, pitch) for n in shape)
@@ -191,7 +199,7 @@ def rough(rng):
 
 
 def fewer(heights):
-    """A corner of the heights with no more samples than the reference sums over."""
+    """Return a corner of the heights that has at most ``MOST_PATCH_SAMPLES`` samples."""
     ny, nx = heights.shape
     while ny * nx > MOST_PATCH_SAMPLES:
         ny, nx = (ny - ny // 8, nx) if ny >= nx else (ny, nx - nx // 8)
@@ -199,7 +207,7 @@ def fewer(heights):
 
 
 def a_coherence(rng, kind, heightfield):
-    """A window, source or number of periods."""
+    """Return a random coherence of a kind: a window, a light source or numbers of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":
@@ -208,19 +216,19 @@ def a_coherence(rng, kind, heightfield):
     centre = None
     if kind == "centred" and rng.random() < 0.5:
         centre = tuple(float(rng.uniform(0.0, length)) for length in heightfield.size_um)
-    # The default half of the time.
+    # Half of the windows have the default width of 16.25 µm.
     sigma = 16.25 if rng.random() < 0.5 else log_uniform(rng, 3.0, 65.0)
     return wd.Coherence(kind, sigma, centre_um=centre)
 
 
 def a_light(rng, count=1, steepest_deg=STEEPEST_DEG):
-    """Directions uniform in the angle of incidence, (count, 3)."""
+    """Return random light directions (count, 3), uniform in the angle of incidence."""
     theta, phi = np.radians(rng.uniform(0.0, steepest_deg, count)), rng.uniform(0.0, 2.0 * np.pi, count)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
 
 
 def a_list(rng, case, most):
-    """Pairs of directions in any order."""
+    """Return a configuration with a list of pairs of directions, in random or sorted order."""
     low, high = {"few": (16, 128), "some": (129, FEW - 1), "many": (FEW, most)}[case.layout]
     count = round(log_uniform(rng, low, high))
     way = WAYS[rng.integers(len(WAYS))]
@@ -236,16 +244,16 @@ def a_list(rng, case, most):
         by = np.argsort((lights + views)[:, 0 if order == "sorted by u" else 2], kind="stable")
         lights, views = lights[by], views[by]
     words = {
-        "random": "views anywhere", "mirror": f"views within some {math.degrees(spread):.2g}° of the mirror direction",
-        "orders": "views by orders", "grazing": "views within 15° of the horizon",
-        "mixed": f"views anywhere, grazing, by orders and within some {math.degrees(spread):.2g}° of the mirror",
+        "random": "views anywhere", "mirror": f"views within about {math.degrees(spread):.2g}° of the mirror direction",
+        "orders": "views near orders", "grazing": "views within 15° of the horizon",
+        "mixed": f"views anywhere, grazing, near orders and within about {math.degrees(spread):.2g}° of the mirror",
     }  # fmt: skip
-    words = f"{count} directions, {'one light' if one else 'a light a view'}, {words[way]}, {order}"
+    words = f"{count} directions, {'one light' if one else 'one light per view'}, {words[way]}, {order}"
     return case._replace(to_light=lights, to_view=views, words=words)
 
 
 def some_views(rng, way, lights, spread, heightfield, coherence):
-    """A unit vector not beyond the steepest view for each light."""
+    """Return one random view direction per light, at most ``STEEPEST_DEG`` from the normal."""
     views = np.zeros_like(lights)
     pending = np.arange(len(lights))
     while len(pending):
@@ -255,7 +263,8 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
         s = np.sqrt(1.0 - z * z)
         candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
-            # The mirror direction may itself lie at the steepest one; half of its neighbours do not.
+            # Views are normally distributed around the mirror direction. Even if that lies at the largest angle, half
+            # of the draws are accepted.
             candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
             candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":
@@ -267,11 +276,14 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
 
 
 def by_an_order(rng, lights, views, heightfield, coherence):
-    """Views by the order that is nearest at a random wavelength, some widths of its lobe away; z = −1 below."""
+    """Return views near the diffraction order that is nearest to each given view at a random wavelength.
+
+    Distances from the order have the width of its lobe as their standard deviation. Views below the horizon get z = −1.
+    """
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
     orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
-    # An axis of one sample is constant: it has no order but 0.
+    # An axis with one sample is constant, so that only its order 0 exists.
     orders[:, [heightfield.shape[1] == 1, heightfield.shape[0] == 1]] = 0.0
     if coherence.kind == "replicas":
         width = wavelength / (lengths * np.array(coherence.periods[::-1]))
@@ -285,7 +297,10 @@ def by_an_order(rng, lights, views, heightfield, coherence):
 
 
 def a_grid(rng, case, most):
-    """Views on a grid, in row order, under one light; what leaves the disc of directions is below the horizon."""
+    """Return a configuration with a grid of views in row order under one light.
+
+    Grid points outside the unit disc become directions below the horizon.
+    """
     sides = [side for side in SIDES if side * side <= max(most, 64 * 64) * (4 if most == MOST else 1)]
     side = sides[rng.integers(len(sides))]
     light = a_light(rng)[0]
@@ -301,7 +316,7 @@ def a_grid(rng, case, most):
         return a_grid(rng, case, most)
     z = np.where(above, np.sqrt(np.maximum(1.0 - square, 0.0)), -0.5)
     views = np.column_stack([x.ravel(), y.ravel(), z])
-    words = f"a grid of {side} × {side} views over {extent:.2g}, turned by {math.degrees(turn):.0f}°"
+    words = f"a grid of {side} × {side} views over {extent:.2g}, rotated by {math.degrees(turn):.0f}°"
     return case._replace(to_light=np.broadcast_to(light, views.shape), to_view=views, words=words)
 
 
@@ -315,7 +330,7 @@ def a_map(rng, case, most):
 
 @functools.cache
 def body(name):
-    """A mesh by name."""
+    """Return the mesh of a body by its name."""
     if name == "snake":
         return wd.meshes.snake(segments=2)
     if name == "disc":
@@ -340,5 +355,5 @@ def a_frame(rng, case, most):
     light = direction(math.radians(rng.uniform(0.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi))
     view = wd.View(eye, target, up=tuple(direction(math.pi / 2.0, phi + 0.3)), width=width, height=height)
     picture = Picture(name, wd.DirectionalLight(tuple(light), illuminant=case.illuminant), view)
-    words = f"a frame of the {name}, {width} × {height}, seen {math.degrees(theta):.0f}° from above"
+    words = f"a frame of the {name}, {width} × {height}, camera {math.degrees(theta):.0f}° from above"
     return case._replace(picture=picture, words=words)

@@ -1,4 +1,4 @@
-"""Error measures of charts and frames, of colours (n, 3) against exact ones."""
+"""Error measures of colours (n, 3) relative to exact colours, as used in charts and frames."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ import warnings
 
 import numpy as np
 
-# f, the floor of relative errors, as a share of Y*.
+# Floor f of relative errors, as a share of the reference luminance Y*. Limit: darker colours are judged by absolute
+# errors; a doubled value hides errors of dim directions.
 FLOOR = 1e-3
 
 
 def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None) -> float:
-    """Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
+    """Return the reference luminance Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
     weights = np.ones(len(luminance)) if weights is None else weights
     return max(percentile(luminance, weights, 0.99), percentile(luminance, weights * luminance, 0.5))
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the weighted percentile of values at a share of the total weight; 0 if there are none."""
+    """Return the weighted percentile of values at a share of the total weight, or 0 without values."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)
@@ -33,10 +34,7 @@ def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return the 99th percentile of ΔE2000 against D65, exposed so that ``brightest`` is Y = 1.
-
-    Brighter colours are excluded. By default ``brightest`` is the 99th percentile of Y.
-    """
+    """Return the 99th percentile of ΔE2000 under D65. The exposure makes ``brightest`` Y = 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

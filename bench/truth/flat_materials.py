@@ -1,6 +1,6 @@
-"""Reflectance of flat materials, by characteristic matrices (Abelès 1950; Born and Wolf, section 1.6), in float64.
+"""Reflectance of flat materials in float64, by characteristic matrices (Abelès 1950; Born and Wolf, section 1.6).
 
-It shares no code with ``warpdiff.optics.materials``, which sums Fresnel's amplitudes.
+The module shares no code with ``warpdiff.optics.materials``, which sums Fresnel amplitudes.
 """
 
 from __future__ import annotations
@@ -13,10 +13,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Quotients of complex NaN set the flag of invalid operations.
+# Quotients of complex NaN set NumPy's flag for invalid operations, so that its warning is disabled.
 @np.errstate(invalid="ignore")
 def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations: str = "sp") -> NDArray[np.float64]:
-    """R of a material in air, the mean of some polarisations; wavelengths [µm] and cosines broadcast; NaN stays."""
+    """Return the reflectance R of a material in air, as a mean over polarisations.
+
+    Wavelengths [µm] and cosines of the angle of incidence are broadcast. A cosine of NaN gives NaN.
+    """
     wavelengths, cosines = np.broadcast_arrays(np.asarray(wavelengths_um, float), np.asarray(cosines, float))
     along = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     layers = [layer for layer in (material.film, material) if layer is not None]
@@ -36,7 +39,7 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
         load = admittances[-1]
         if len(layers) > 1:
             phase = 2.0 * np.pi * normals[0] * material.film_nm * 1e-3 / wavelengths
-            # Electric and magnetic field at the top of the film, over the field at its bottom.
+            # Electric and magnetic fields at the top of the film, divided by the electric field at its bottom.
             electric = np.cos(phase) - 1j * np.sin(phase) * load / admittances[0]
             load = (np.cos(phase) * load - 1j * np.sin(phase) * admittances[0]) / electric
         air = cosines if polarisation == "s" else 1.0 / np.maximum(cosines, 1e-300)

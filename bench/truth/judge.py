@@ -1,8 +1,8 @@
-"""Errors of calls on directions that their plans never read, against the float64 reference.
+"""Errors of calls relative to the float64 reference, on directions that their plans never read.
 
-A call of fewer directions than ``configurations.FEW`` is evaluated on all illuminated ones. For a larger call, at least
-``COUNT`` illuminated directions are sampled, none of which its plan has read. Bright directions are sampled more often
-if they are few, and have smaller weights.
+A call with fewer directions than ``configurations.FEW`` is evaluated on all illuminated directions. For a larger call,
+at least ``COUNT`` illuminated directions are sampled, none of which its plan has read. If bright directions are rare,
+they are sampled more often and have smaller weights.
 """
 
 from __future__ import annotations
@@ -25,20 +25,22 @@ from warpdiff.planner import trial
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Number of illuminated directions that are sampled.
+# Number of illuminated directions that are sampled. Limit: computing time of the reference.
 COUNT = 2000
-# Least number of bright directions among them, if there are as many.
+# Least number of bright directions in the sample, if the call has as many. With fewer, P99 of bright ones is noisy.
 BRIGHT = 600
-# The tolerance of the reference is half of a call's tolerance, and at most half of this.
+# Upper bound of the reference's tolerance: half of this value, and at most half of the tolerance of the call.
 TRUTH_TOLERANCE = 1e-3
-# A source nearer to the horizon is so foreshortened that the reference would require half a million wavelengths.
+# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon its spread is so
+# foreshortened that the reference requires half a million wavelengths.
 LOWEST_SOURCE = 0.02
-# The reference converges to this share of a mirror's Y, and f is at least that.
+# Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference converges down to this
+# value.
 LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions, and a mask of those that its plan read."""
+    """Results of a call for its illuminated directions, with a mask of the directions that its plan has read."""
 
     xyz: np.ndarray  # (n, 3)
     to_light: np.ndarray  # (n, 3)
@@ -49,29 +51,29 @@ class Result(NamedTuple):
 
     @property
     def white(self) -> float:
-        """Y* of all directions, from the results of the call."""
+        """Reference luminance Y* of all directions, from the results of the call."""
         return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
 class Figure(NamedTuple):
-    """The error of a call: percentiles 99 of e over all, over bright ones (Y >= f), and over the others."""
+    """Error of a call: percentiles 99 of the relative error over all, over bright (Y >= f) and over dim directions."""
 
     overall: float
     bright: float
     dim: float
     share_dim: float
-    white: float  # Y*
-    errors: np.ndarray  # of each direction
+    white: float  # reference luminance Y*
+    errors: np.ndarray  # relative error of each direction
 
     @property
     def value(self) -> float:
-        """The error that the tolerance bounds."""
+        """Error that the tolerance must bound."""
         return max(self.overall, self.bright)
 
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record (u, v, w) of all directions that plans read."""
+    """Record the scattering vectors (u, v, w) of all directions that plans read within the ``with`` block."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
@@ -89,7 +91,7 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call like a user."""
+    """Make the call of a configuration through the public functions, as a user would."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,
@@ -132,7 +134,7 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
 
 
 def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of a sample of a call's directions, and the number of directions that each represents."""
+    """Return indices of a sample of a call's directions, and the number of directions that each represents."""
     count = len(result.xyz)
     if count < FEW:
         return np.arange(count), np.ones(count)
@@ -154,7 +156,7 @@ def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 
 def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: float = 1.0) -> np.ndarray:
-    """Return XYZ of some directions by the reference."""
+    """Return XYZ of the chosen directions by the reference."""
     tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
     return np.asarray(
         reference.reference_reflectance(
@@ -165,10 +167,10 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 
 
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
-    """Return the error of XYZ against the reference, both (n, 3) and all illuminated; f has a lower limit.
+    """Return the error of XYZ relative to the reference, both (n, 3) and all illuminated.
 
-    Y* is that of the reference, or that of the whole call if it is smaller: a sample may contain a mirror reflection
-    that is rare in the call.
+    The floor f has a lower limit. Y* is that of the reference, or that of the whole call if it is smaller. A sample may
+    contain a mirror reflection that is rare in the call.
     """
     weights = np.ones(len(exact)) if weights is None else weights
     distances = np.linalg.norm(xyz - exact, axis=1)

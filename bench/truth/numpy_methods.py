@@ -1,8 +1,8 @@
-"""Methods that the stability suite compares, in NumPy: series in either precision, fixed λ steps, fixed neighbours.
+"""NumPy implementations of the methods that the stability suite compares.
 
-The rows of the series come from ``fourier_coefficients`` and ``phase_series`` of ``warpdiff.diffraction``. The powers
-are summed directly, one point after the other, for averaged windows. The reference is in
-``reference`` and ``warpdiff.diffraction.direct_sum``.
+The methods are series in float32 and float64, fixed λ steps, and fixed numbers of neighbours. The rows of the series
+come from ``fourier_coefficients`` and ``phase_series`` of ``warpdiff.diffraction``. For averaged windows, powers are
+summed directly, one point at a time. The references are in ``reference`` and ``warpdiff.diffraction.direct_sum``.
 """
 
 from __future__ import annotations
@@ -22,25 +22,28 @@ from warpdiff.optics import colorimetry
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
-# Number of terms of the published shader, n = 0 … 36.
+# Number of terms of the published shader (n = 0 … 36).
 PUBLISHED_TERMS = 37
-# A window's Gaussian is truncated where it is below exp(−DEPTH).
+# Exponent at which a window's Gaussian is truncated, exp(−36) = 2e-16. Limit: rounding of float64.
 DEPTH = 36.0
-# Light that the library counts as darkness, relative to a mirror's.
+# Luminance, relative to a mirror, below which the library counts light as darkness.
 DARK = 1e-10
-# Largest number of values in a temporary array.
+# Largest number of values in a temporary array. Limit: memory.
 CHUNK = 1 << 21
 
 
 def best_effort(call, *args, **keywords):
-    """Return the result of a library call, also if it cannot meet its tolerance."""
+    """Return the result of a library call, even if it cannot meet its tolerance."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         return call(*args, **keywords, strict=False)
 
 
 def outcome(call, *args, **keywords):
-    """Return the result of a strict library call, and its refusal or warnings as one string, empty if none."""
+    """Return the result of a strict library call and its messages.
+
+    The messages are an error or all warnings as one string, which is empty without messages.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         try:
@@ -52,11 +55,11 @@ def outcome(call, *args, **keywords):
     )
 
 
-# Errors.
+# Error measures of colours and spectra.
 
 
 def percentile_99(errors):
-    """The 99th percentile, infinite where one of the two values that it lies between is infinite or not a number."""
+    """Return the 99th percentile. It is infinite if a value that it depends on is infinite or not a number."""
     finite = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(invalid="ignore"):
         percentile = float(np.percentile(finite, 99.0))
@@ -64,7 +67,7 @@ def percentile_99(errors):
 
 
 def colour_error(xyz, truth):
-    """The 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f); both (n, 3)."""
+    """Return the 99th percentile of the relative error ‖ΔXYZ‖ / max(‖XYZ‖, f); both arguments are (n, 3)."""
     floor = max(FLOOR * reference_luminance(truth[:, 1]), DARK)
     with np.errstate(all="ignore"):
         moved = np.linalg.norm(np.asarray(xyz, dtype=np.float64) - truth, axis=1)
@@ -72,18 +75,21 @@ def colour_error(xyz, truth):
 
 
 def spectral_error(rho, truth):
-    """The 99th percentile of |Δρ| / max(ρ, a thousandth of that of ρ)."""
+    """Return the 99th percentile of |Δρ| / max(ρ, floor). The floor is a thousandth of percentile 99 of ρ."""
     floor = max(1e-3 * np.percentile(truth, 99.0), DARK)
     with np.errstate(all="ignore"):
         moved = np.abs(np.asarray(rho, dtype=np.float64) - truth)
     return percentile_99(moved / np.maximum(truth, floor))
 
 
-# Surfaces and directions.
+# Surfaces and directions of the compared methods.
 
 
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
-    """A line across fingers: one row, whose orders a view in the plane of incidence crosses one by one."""
+    """Return a height field with a single row across fingers.
+
+    In the plane of incidence, a view crosses its diffraction orders one after the other.
+    """
     heightfield = wd.gratings.fingers(
         size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5
     )
@@ -92,10 +98,10 @@ def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
 
 
 def in_plane(count, largest, seed=0):
-    """Lights and views (count, 3) in the xz-plane with 0.02 <= |u| <= largest, |u| log-uniform."""
+    """Return lights and views (count, 3) in the xz-plane with 0.02 <= |u| <= largest. |u| is log-uniform."""
     rng = np.random.default_rng(seed)
     u = np.exp(rng.uniform(math.log(0.02), math.log(largest), count))
-    # sin θi + sin θr = u, both within −0.97 … 0.97.
+    # The sum sin θi + sin θr is u, and both sines are between −0.97 and 0.97.
     light = rng.uniform(np.maximum(-0.97, u - 0.97), np.minimum(0.97, u + 0.97))
     x = np.stack([light, u - light]) * rng.choice([-1.0, 1.0], count)
     pair = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=-1)
@@ -103,7 +109,7 @@ def in_plane(count, largest, seed=0):
 
 
 def hemisphere_pairs(count, lowest=0.1, seed=0):
-    """Random lights and views (count, 3) with z >= lowest."""
+    """Return random lights and views (count, 3) on the hemisphere with z >= lowest."""
     rng = np.random.default_rng(seed)
     z, phi = rng.uniform(lowest, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
     s = np.sqrt(1.0 - z * z)
@@ -112,11 +118,12 @@ def hemisphere_pairs(count, lowest=0.1, seed=0):
 
 
 def with_lateral(count, order_rate, seed=0):
-    """Lights and views (count, 3) with |(u, v)| as given, below 2."""
+    """Return random lights and views (count, 3) whose |(u, v)| equals ``order_rate``, which is below 2."""
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
-        # Both tangential parts lie in the unit disc: one in the lens that it shares with itself, moved by −U.
+        # The tangential components of light and view lie in the unit disc, and their sum is fixed. The light's
+        # component therefore lies in the intersection of the disc with a copy that is moved by this sum.
         x = -order_rate / 2.0 + (1.0 - order_rate / 2.0) * rng.uniform(-1.0, 1.0)
         y = math.sqrt(1.0 - order_rate**2 / 4.0) * rng.uniform(-1.0, 1.0)
         if max(math.hypot(x, y), math.hypot(x + order_rate, y)) < 1.0 - 1e-4 * (2.0 - order_rate):
@@ -131,7 +138,10 @@ def with_lateral(count, order_rate, seed=0):
 
 
 def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
-    """Lights and views (count, 3) this high above the horizon, the views anywhere or so near the mirror direction."""
+    """Return lights and views (count, 3) at an elevation above the horizon.
+
+    The azimuths of views are uniform, or within ``spread_deg`` (standard deviation) of the mirror direction.
+    """
     rng = np.random.default_rng(seed)
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
     away = rng.uniform(0.0, 2.0 * np.pi, count) if spread_deg is None else np.radians(rng.normal(0, spread_deg, count))
@@ -142,7 +152,10 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 
 
 def near_resonance(heightfield, away, wavelength_um, seed=7):
-    """Lights and views (n, 3) in the plane of one row, this part of a turn from whole turns between periods."""
+    """Return lights and views (n, 3) in the plane of one row, near resonances of its periods.
+
+    The phase between periods is a whole number of turns plus or minus up to ``away`` turns.
+    """
     rng = np.random.default_rng(seed)
     orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
     turns = orders + away * rng.choice([-1.0, 1.0], len(orders)) * rng.uniform(0.7, 1.0, len(orders))
@@ -153,19 +166,22 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
     return np.broadcast_to(light, views.shape), views
 
 
-# Series.
+# Series of the averaged power spectrum.
 
 
 class Rows(NamedTuple):
-    """Coefficients as rows of numbers times a basis in κ."""
+    """Fourier coefficients as products of rows of numbers and a basis in κ."""
 
     values: np.ndarray  # (my, mx, terms), complex amplitudes or real powers
-    basis: object  # takes κ (m,), returns (m, terms)
+    basis: object  # function of κ (m,) that returns (m, terms)
     origin: tuple[int, int]
 
 
 def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
-    """All coefficients of a height field for κ in a range, in an arithmetic; "exact" is to rounding."""
+    """Return all Fourier coefficients of a height field for a range of κ, in float32 or float64.
+
+    The method "exact" is accurate to rounding errors.
+    """
     block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128
     if method in SERIES:
@@ -173,7 +189,8 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
         values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
-    # Sampled without a series at Chebyshev's nodes, as many as interpolate to rounding, or to the terms of the method.
+    # The other methods sample the coefficients at Chebyshev nodes in κ. The number of nodes is sufficient for
+    # interpolation to rounding errors, or it equals the number of terms of the method.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
@@ -190,7 +207,7 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         values, to_series = values @ functions, functions.T @ to_series
 
     def basis(kappa):
-        # Points on the ends of the range lie beyond it by a rounding.
+        # Rounding may move values of κ at the ends of the interpolation range beyond it, so that they are clipped.
         position = np.clip((kappa - middle) / half, -1.0, 1.0)
         chebyshev = np.polynomial.chebyshev.chebvander(position, count - 1)
         return (chebyshev @ to_series.T).astype(dtype)
@@ -203,19 +220,19 @@ def windowed_powers(
     heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
     neighbour_extent=None, floor=False,
 ):  # fmt: skip
-    """⟨|P|²⟩, averaged over all positions of the Gaussian window, shape (n, m).
+    """Return ⟨|P|²⟩, averaged over all positions of the Gaussian window, shape (n, m).
 
     Args:
-        heightfield: The height field.
-        lights: Unit vectors (n, 3).
-        views: Unit vectors (n, 3).
-        wavelengths_um: Wavelengths (m,).
+        heightfield: Height field.
+        lights: Unit vectors to the light (n, 3).
+        views: Unit vectors to the viewer (n, 3).
+        wavelengths_um: Wavelengths [µm], shape (m,).
         sigma: Standard deviation of the window [µm].
         method: One of ``METHODS`` or "exact".
-        terms: Terms of the series.
-        dtype: The arithmetic of the coefficients and of all sums; positions have that of the directions.
-        neighbour_extent: Neighbours on either side; None is all that contribute.
-        floor: Whether the middle one is found by floor() instead of rounding.
+        terms: Number of terms of the series.
+        dtype: Floating-point type of coefficients and sums. Positions have the type of the directions.
+        neighbour_extent: Number of neighbours on either side; None means all that contribute.
+        floor: Whether floor() finds the middle neighbour, instead of rounding.
     """
     scattering_vectors = -(lights + views)
     tau = (1.0 / np.asarray(wavelengths_um)).astype(lights.dtype)
@@ -229,7 +246,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # An axis of one sample is constant: it has no order but 0.
+        # An axis with one sample is constant, so that only its order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
@@ -247,14 +264,14 @@ def windowed_powers(
 
 
 def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
-    """ρ, shape (n, m), of ``windowed_powers``."""
+    """Return the reflectance ρ, shape (n, m), from ``windowed_powers``."""
     return reference.gain(lights, views)[:, None] * windowed_powers(
         heightfield, lights, views, wavelengths_um, **keywords
     )
 
 
 def most_terms(heightfield, method, kappa, tolerance=1e-13):
-    """Return the number of terms of a series for a tolerance, at most the library's limit."""
+    """Return the number of terms that a series requires for a tolerance, at most the library's limit."""
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
@@ -262,16 +279,19 @@ def most_terms(heightfield, method, kappa, tolerance=1e-13):
 
 
 def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
-    """ρ with everything in float32, as in a shader: directions, gain, positions, sums."""
+    """Return ρ computed in float32 throughout, as in a shader: directions, gain, positions and sums."""
     i, r = lights.astype(np.float32), views.astype(np.float32)
     return series_reflectance(heightfield, i, r, wavelengths_um, sigma=sigma, dtype=np.float32)
 
 
-# Integrals over λ.
+# Integrals over the wavelength λ.
 
 
 def fixed_steps(step_nm):
-    """Wavelengths [nm] a fixed step apart from 380 nm on, and colour weights (m, 3), as published: a plain sum."""
+    """Return wavelengths [nm] at fixed steps from 380 nm on, and colour weights (m, 3).
+
+    The weights are those of a plain sum, as published.
+    """
     wavelengths = np.arange(380.0, 780.0 + 1e-9, step_nm)
     table = reference.products("D65")
     weights = np.stack([np.interp(wavelengths, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -279,19 +299,22 @@ def fixed_steps(step_nm):
 
 
 def fixed_step_colour(heightfield, lights, views, step_nm, coherence):
-    """XYZ with exact ρ at wavelengths a fixed step apart."""
+    """Return XYZ from exact ρ at wavelengths with a fixed step."""
     wavelengths, weights = fixed_steps(step_nm)
     return reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, coherence) @ weights
 
 
 def wavenumber_colour(heightfield, lights, views, count, coherence):
-    """XYZ with exact ρ at wavelengths equally spaced in 1/λ, weighted as the library does."""
+    """Return XYZ from exact ρ at equally spaced wavenumbers 1/λ, with the weights of the library."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, "D65")
     return reference.reference_spectral(heightfield, lights, views, 1.0 / wavenumbers, coherence) @ weights
 
 
 def unforeshortened_colour(heightfield, lights, views, source):
-    """XYZ as if the source's spread were a disc on the surface from wherever its light comes, at steps of 1 nm."""
+    """Return XYZ with a simplified light source, at steps of 1 nm.
+
+    The spread of the source is a disc on the surface for every direction of the light.
+    """
     wavelengths, weights = fixed_steps(1.0)
     sums = reference.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
     up = np.array([0.0, 0.0, 1.0])
@@ -300,7 +323,10 @@ def unforeshortened_colour(heightfield, lights, views, source):
 
 
 def order_wise_colour(heightfield, lights, views, *, sigma):
-    """Return XYZ by one point per coefficient, where the direction passes it: the Gaussian's area times the power."""
+    """Return XYZ from one point per Fourier coefficient, at the wavelength where the direction passes it.
+
+    Each point adds the area of the coefficient's Gaussian times its power.
+    """
     table = reference.products("D65")
     scattering_vectors = -(lights + views)
     kappas = np.outer(
@@ -333,7 +359,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
             "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
         )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
-        # dλ = dτ/τ² in nm, for products at 1 nm.
+        # Wavelength intervals are dλ = dτ/τ² [nm], for colour products at steps of 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
         area *= math.sqrt(2.0 * math.pi) * width / tau**2 * 1e3
         curves = np.stack([np.interp(1e3 / tau, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -341,11 +367,14 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     return result
 
 
-# Periods.
+# Factors of replicated periods.
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """|(p + iq)/N|² of N periods (Single 2014, eq. 3.47, with N for his N + 1), at a phase in turns between periods."""
+    """Return |(p + iq)/N|² of N periods (Single 2014, eq. 3.47, where N + 1 stands for N).
+
+    ``turns`` is the phase between periods in turns.
+    """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)
     with np.errstate(all="ignore"):
@@ -356,14 +385,17 @@ def published_replicas(turns, periods, dtype=np.float64):
 
 
 def plain_replicas(turns, periods, dtype=np.float64):
-    """[sin(πNt)/(N sin(πt))]² of N periods, evaluated directly: the argument is not reduced, the limit not taken."""
+    """Return [sin(πNt)/(N sin(πt))]² of N periods without special cases.
+
+    The argument is not reduced, and the limit at whole turns is not taken.
+    """
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
         return (np.sin(dtype(periods) * angle) / (dtype(periods) * np.sin(angle))) ** 2
 
 
 def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
-    """|mean over one patch of one row|² between its orders, from the 2·neighbour_extent + 1 nearest orders."""
+    """Return |mean over one patch of one row|² between its orders, from the 2·neighbour_extent + 1 nearest orders."""
     n, length = heightfield.shape[1], heightfield.size_um[1]
     coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
     t = scattering_vector[0] / wavelength_um * length

@@ -1,4 +1,4 @@
-"""Views with several points per pixel, and the white furnace."""
+"""Views with several points per pixel, and pictures of a white furnace (a mirror sphere under a uniform sky)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import warpdiff as wd
 
 
 def scaled(fov_deg: float, factor: float) -> float:
-    """The angle of a picture so many times as high."""
+    """Return the field of view [deg] of a picture that is ``factor`` times as high."""
     return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
 
 
 def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """Return the view with ``points`` × ``points`` points per pixel and a margin of additional pixels."""
+    """Return a view with ``points`` × ``points`` points per pixel and a margin of ``margin`` additional pixels."""
     width, height = view.width + 2 * margin, view.height + 2 * margin
     fov = scaled(view.fov_y_deg, height / view.height)
     return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)
@@ -26,7 +26,10 @@ def finer(view: wd.View, points: int, margin: int) -> wd.View:
 def furnace_picture(
     heightfield: wd.HeightField, energy: str, *, tolerance: float, size: int
 ) -> tuple[wd.Image, np.ndarray]:
-    """A sphere that is a perfect mirror under an even sky of 1, and how far pixels are from its middle, in radii."""
+    """Render a perfect mirror sphere under a uniform sky of radiance 1.
+
+    Return the picture and the distance of each pixel from the sphere's centre, in radii.
+    """
     ball = trimesh.creation.icosphere(4)
     radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))
     image = wd.shade(

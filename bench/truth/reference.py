@@ -1,10 +1,11 @@
-"""Float64 reference of colours of directions and pixels, in NumPy; shares no code with the library.
+"""Reference colours of directions and pixels in NumPy and float64; shares no code with the library.
 
-For a window or a source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ and is interpolated between them
-to rounding; all coefficients within nine widths of a direction are included. For a replicated patch, the sum over one
-patch is explicit at Chebyshev nodes in 1/λ and interpolated between them to rounding, and the factor of the periods is
-in closed form. The integral over λ is refined until it converges. Tests compare the reference with ``direct``; it is
-fast enough for whole pictures and sweeps.
+For a window or a light source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ. It is interpolated
+between the nodes to rounding errors. All coefficients within nine widths of a direction are included.
+
+For a replicated patch, the sum over one patch is explicit at Chebyshev nodes in 1/λ, and interpolated to rounding
+errors. The factor of the periods has a closed form. The integral over λ is refined until it converges. Tests compare
+the reference with ``direct``. It is fast enough for whole pictures and sweeps.
 """
 
 from __future__ import annotations
@@ -19,33 +20,35 @@ from bench.truth import flat_materials
 from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from bench.truth.errors import FLOOR, reference_luminance
 
+# Distance in standard deviations within which coefficients contribute. Limit: exp(−9²/2) = 3e-18 is negligible.
 WIDTHS = 9.0
-# Exponent at which the Gaussian is truncated, exp(−WIDTHS²/2).
+# Exponent at which the Gaussian is truncated. Derived: exp(−WIDTHS²/2).
 DEPTH = WIDTHS**2 / 2.0
-# Wavenumbers 1/λ [1/µm] of the visible range, over which every integral goes.
+# Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# Nodes of Gauss and Legendre in a cell of the quadrature; a cell resolves so many standard deviations of a Gaussian
-# and so many periods of an oscillation at first, before it is halved to see whether that was enough.
+# Number of Gauss-Legendre nodes per cell of the quadrature, and initial size of a cell: in standard deviations of a
+# Gaussian, and in periods of an oscillation. Cells are halved until the integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
 # Smallest number of quadrature cells.
 FEWEST_CELLS = 8
-# Limit of cells of a quadrature; beyond it a reference is refused.
+# Largest number of quadrature cells. Limit: memory; a reference that requires more is refused.
 MOST_CELLS = 1 << 19
-# Nodes per look-up of coefficients: few enough that they lie near each other.
+# Number of wavenumbers per look-up of coefficients. Limit: more wavenumbers have more coefficients in common.
 BLOCK = 128
-# Limits of memory: nodes per evaluation of periods, and samples of a patch per sum.
+# Largest number of wavenumbers per evaluation of a replicated patch, and of height samples per sum. Limit: memory.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
-# A mirror has Y = 1. What lies nine widths from everything ends in a step that no quadrature resolves.
+# Least Y that must converge, relative to a mirror. Limit: the truncation at nine widths leaves steps below this value,
+# which no quadrature resolves.
 LEAST = 1e-10
-# IEC 61966-2-1.
+# Matrix from XYZ to linear sRGB (IEC 61966-2-1).
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
 class Step(NamedTuple):
-    """Coherence, with the attributes of ``wd.Coherence``, which may replace it."""
+    """Coherence of the reference. It has the attributes of ``wd.Coherence``, which is accepted as well."""
 
     kind: str = "averaged"
     sigma_um: float | None = None
@@ -55,12 +58,12 @@ class Step(NamedTuple):
 
 
 def step_of(coherence, sigma, centre):
-    """Return a coherence by its kind, σ [µm] and centre (y, x) [µm]; a coherence is returned unchanged."""
+    """Return a coherence from its kind, σ [µm] and centre (y, x) [µm]. A coherence object is returned unchanged."""
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) between two wavelengths [µm]."""
+    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) for wavelengths between two limits [µm]."""
     return (
         Replicas(heightfield, step)
         if step.kind == "replicas"
@@ -69,12 +72,15 @@ def sum_for(heightfield, step, scattering_vectors, shortest, longest):
 
 
 def chebyshev_nodes(count):
-    """Chebyshev's nodes of the first kind on (−1, 1)."""
+    """Return the Chebyshev nodes of the first kind on (−1, 1)."""
     return np.cos(math.pi * (np.arange(count) + 0.5) / count)
 
 
 def chebyshev_cardinals(position, count):
-    """The polynomials that are 1 at one Chebyshev node and 0 at the others, at positions (m,): shape (m, count)."""
+    """Return the cardinal polynomials of the Chebyshev nodes at positions (m,), shape (m, count).
+
+    Each polynomial is 1 at one node and 0 at the others.
+    """
     order = np.arange(count)
     transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
     transform[0] /= 2.0
@@ -82,12 +88,12 @@ def chebyshev_cardinals(position, count):
 
 
 def chebyshev_terms(argument):
-    """Return the number of terms that represent exp(ix) to rounding for |x| up to the argument."""
+    """Return the number of terms that represent exp(ix) to rounding errors for |x| up to ``argument``."""
     return math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
 
 
 class Coefficients:
-    """H_rs(κ) of a height field, under a window or a source."""
+    """Coefficients H_rs(κ) of a height field, and their power under a window or a light source."""
 
     def __init__(self, heightfield, step, scattering_vectors, shortest, longest):
         self.step = step
@@ -99,11 +105,12 @@ class Coefficients:
         self.low = kappas.min()
         self.half = max(np.ptp(kappas) / 2.0, 1e-9)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # Mid-range, whose phase is common to all coefficients, off: the argument in κ is then the least.
+        # The mid-range height is subtracted. Its phase is common to all coefficients, and the phase range in κ becomes
+        # smallest.
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients near any direction are stored, with their positions.
+        # Only coefficients near at least one direction are stored, with their positions.
         radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         indices, self.places = [], []
         for n, length, across in zip(
@@ -113,7 +120,7 @@ class Coefficients:
             indices.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
             self.places[-1][indices[-1]] = np.arange(len(indices[-1]))
-        # Rows are coefficients; in each the real parts at all nodes, then the imaginary ones.
+        # Each row is one coefficient: its real parts at all nodes, then its imaginary parts.
         self.rows = np.empty((len(indices[0]), len(indices[1]), 2, self.terms))
         for node, at in enumerate(chebyshev_nodes(self.terms)):
             sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[
@@ -126,35 +133,40 @@ class Coefficients:
         self.centre = centre
 
     def metric(self, to_light):
-        """The matrix A of the exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
+        """Return the matrix A of the Gaussian exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
         if self.step.kind != "source":
             return np.eye(2)
-        # A disc in the sky is an ellipse on the surface, cos θi as long towards the light.
+        # A disc in the sky becomes an ellipse on the surface. Its axis towards the light is shorter by the factor cos
+        # θi.
         across = to_light[:2]
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """The factor a(τ) of the exponent [µm²]."""
+        """Return the factor a(τ) of the Gaussian exponent [µm²]."""
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
         return np.full(np.shape(tau), falloff)
 
     def resolution(self, scattering_vector, to_light):
-        """The largest cell in τ that resolves all coefficients on a direction's way, and the least size that counts."""
+        """Return the largest quadrature cell in τ for one direction, and the least result that must converge.
+
+        The cell resolves all coefficients near the path of the direction as τ changes.
+        """
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The width in λ is in proportion to λ; the nearest coefficients may lie a few widths beyond the direction.
+            # The width in λ is proportional to λ. The nearest coefficients may lie a few widths beyond the direction.
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # This holds for centred windows too, as the power of a sum of Gaussians contains products of two.
+            # The width also holds for centred windows, because the power of a sum of Gaussians contains products of
+            # two.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
 
     def power(self, scattering_vector, to_light, tau):
-        """⟨|P|²⟩ of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return ⟨|P|²⟩ of one scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         order = np.argsort(tau)
         result = np.empty(len(tau))
         for start in range(0, len(tau), BLOCK):
@@ -163,7 +175,10 @@ class Coefficients:
         return result
 
     def _power(self, scattering_vector, metric, tau):
-        """The same for few τ in ascending order: every coefficient near any of them, for all of them."""
+        """Return ⟨|P|²⟩ at a few wavenumbers in ascending order.
+
+        All coefficients near any of the wavenumbers are evaluated at all of them.
+        """
         across = scattering_vector[:2]
         radius = math.sqrt(DEPTH / self.rate(tau).min())
         along_axis = np.sqrt(np.diag(np.linalg.inv(metric)))
@@ -173,11 +188,12 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # An axis of one sample is constant: it has no order but 0.
+            # An axis with one sample is constant, so that only its order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
-        # The distance of a coefficient from the way, in the metric of the exponent.
+        # Distance of each Fourier coefficient from the path of (u, v)/λ as λ changes, in the metric of the Gaussian's
+        # exponent.
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
@@ -185,7 +201,8 @@ class Coefficients:
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
-        # (τU − q)ᵀ A (τU − q), as a square about the nearest point and what is left across.
+        # The exponent (τU − q)ᵀ A (τU − q) is split into a squared distance along the path, from its nearest point, and
+        # one across it.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
         across_square = np.einsum("ki,ij,kj->k", away, metric, away)
@@ -202,12 +219,12 @@ class Coefficients:
 
 
 class Replicas:
-    """Coherent periods of a replicated height field."""
+    """Reflectance of a replicated height field with coherent periods."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # The origin in the middle: that is a phase common to all samples, and the arguments are then the least.
+        # The origin is moved to the middle. This changes a phase common to all samples, and makes the phases smallest.
         x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
@@ -217,7 +234,7 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest cell in τ that resolves the lobes of the periods, and the least size that counts."""
+        """Return the largest cell in τ that resolves the lobes of the periods, and the least result that counts."""
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
             abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)
@@ -225,7 +242,7 @@ class Replicas:
         return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.periods) ** 2
 
     def power(self, scattering_vector, to_light, tau):  # noqa: ARG002
-        """|P|² of one (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return |P|² of one scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         low, high = tau.min(), tau.max()
         span = max(high - low, 1e-9)
         key = (*scattering_vector, low, high)
@@ -242,7 +259,10 @@ class Replicas:
         return result
 
     def _patch(self, position):
-        """The mean of exp(2πiτ(ux + vy + wh)) over the patch, but for a common phase, at positions 0 to 1 in τ."""
+        """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch, except for a common phase.
+
+        Positions in τ run from 0 to 1.
+        """
         at_nodes = self.latest[1]
         panels, terms = at_nodes.shape
         panel = np.clip((position * panels).astype(np.int64), 0, panels - 1)
@@ -250,7 +270,10 @@ class Replicas:
         return np.einsum("mk,mk->m", basis, at_nodes[panel])
 
     def _panels(self, scattering_vector, low, span):
-        """The mean over the patch at Chebyshev's nodes in panels of equal length from low on, shape (panels, nodes)."""
+        """Return the mean of exp(2πiτ(ux + vy + wh)) at Chebyshev nodes, shape (panels, nodes).
+
+        The nodes lie in panels of equal length in τ, from ``low`` on.
+        """
         argument = math.pi * span * (np.abs(scattering_vector) @ self.extent)
         panels = max(1, math.ceil(argument / 5.0))
         terms = chebyshev_terms(argument / panels)
@@ -259,8 +282,8 @@ class Replicas:
         at_nodes = np.zeros((panels, terms), dtype=complex)
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
-            # All nodes are sums of a panel's middle and an offset, all exponentials products: of the middles, each
-            # of which is one step further, and of the offsets, whose second half is the first one's negative.
+            # Each node is the sum of a panel's middle and an offset, so that its exponential is a product. Middles have
+            # equal distances, and the second half of the offsets is the negative of the first half.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):
@@ -273,7 +296,7 @@ class Replicas:
 
 
 def exp_i(phase):
-    """exp(i·phase), faster than NumPy's complex exponential."""
+    """Return exp(i·phase), faster than NumPy's complex exponential."""
     result = np.empty(phase.shape, dtype=complex)
     np.cos(phase, out=result.real)
     np.sin(phase, out=result.imag)
@@ -281,7 +304,10 @@ def exp_i(phase):
 
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
-    """C·M of unit vectors (n, 3) in the local frame, over cos θi for a source; 0 where one is not above the surface."""
+    """Return the gain C·M of unit vectors (n, 3) in the local frame, divided by cos θi for a light source.
+
+    The gain is 0 where one of the vectors is below the surface.
+    """
     illuminated = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
     result = np.zeros(len(illuminated))
     i, r = to_light[illuminated], to_view[illuminated]
@@ -298,14 +324,14 @@ def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
 
 
 def fresnel(cosine, ior):
-    """Schlick's power reflectance."""
+    """Return the power reflectance by Schlick's approximation."""
     normal = 1.0 if math.isinf(ior) else ((ior - 1.0) / (ior + 1.0)) ** 2
     return normal + (1.0 - normal) * (1.0 - cosine) ** 5
 
 
 @functools.cache
 def products(illuminant):
-    """S·x̄ȳz̄ at 380, 381, … 780 nm over ΣSȳ, shape (401, 3), from colour-science itself."""
+    """Return the products S·x̄ȳz̄ at 380, 381, … 780 nm, divided by ΣSȳ, shape (401, 3), from colour-science."""
     import colour
 
     shape = colour.SpectralShape(380, 780, 1)
@@ -316,15 +342,16 @@ def products(illuminant):
 
 @functools.lru_cache(maxsize=24)
 def quadrature(cells, illuminant):
-    """Wavenumbers τ [1/µm] and weights (m, 3) of cells of equal length in τ, and of the end points at full weight.
+    """Return wavenumbers τ [1/µm] and weights (m, 3) of a quadrature with cells of equal length in τ.
 
-    In each cell it integrates the polynomial in τ through its nodes, times the linear interpolant of the products, over
-    λ: the interpolant's kinks need no nodes of their own.
+    The end points of the range are added at full weight. In each cell the quadrature integrates, over λ, the polynomial
+    in τ through the nodes times the linear interpolant of the colour products. Kinks of the interpolant therefore need
+    no nodes.
     """
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # Between neighbouring edges and kinks everything is smooth.
+    # The integrand is smooth between neighbouring edges and kinks.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)
@@ -347,7 +374,10 @@ def reference_spectral(
     heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None,
     masking=True, centre=None,
 ):  # fmt: skip
-    """ρ of unit vectors (n, 3) in the local frame, shape (n, m); the coherence by name with sigma, or an object."""
+    """Return ρ of unit vectors (n, 3) in the local frame, shape (n, m).
+
+    The coherence is a name with ``sigma``, or an object.
+    """
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
     ior = math.inf if material is not None else ior
@@ -365,7 +395,7 @@ def reference_spectral(
 
 
 def reflected(material, to_light, to_view, wavelengths_um):
-    """R(θd, λ) of one pair of directions; 1 without a material."""
+    """Return the Fresnel reflectance R(θd, λ) of one pair of directions, or 1 without a material."""
     if material is None:
         return 1.0
     half = (to_light + to_view) / np.linalg.norm(to_light + to_view)
@@ -373,7 +403,7 @@ def reflected(material, to_light, to_view, wavelengths_um):
 
 
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
-    """XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (n, 3).
+    """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (n, 3).
 
     The step in wavelength is halved until XYZ changes by less than a twentieth of the tolerance.
     """
@@ -382,15 +412,15 @@ def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illum
         return result
     sums = sum_for(heightfield, step, scattering_vectors, 0.38, 0.78)
     for index, (scattering_vector, light) in enumerate(zip(scattering_vectors, to_light, strict=True)):
-        # The result resolves everything, so that nothing narrow falls between its nodes: it is the finer
-        # one of two that agree. Numbers of cells are powers of 2, so that few quadratures are ever made.
+        # The result is the finer of two quadratures that agree, so that no narrow peak lies between its nodes. Numbers
+        # of cells are powers of 2, so that few different quadratures are made.
         largest, least = sums.resolution(scattering_vector, light)
         cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
         before = None
         while True:
             if cells > MOST_CELLS:
-                why = "settle" if before is not None else f"fit in {MOST_CELLS} cells"
-                raise AssertionError(f"the integral over λ does not {why} for {scattering_vector}, to light {light}")
+                why = "converge" if before is not None else f"fit in {MOST_CELLS} cells"
+                raise AssertionError(f"the integral over λ does not {why} for {scattering_vector}, light {light}")
             tau, weights = quadrature(cells, illuminant)
             now = (
                 sums.power(scattering_vector, light, tau)
@@ -408,7 +438,10 @@ def reference_reflectance(
     heightfield, to_light, to_view, coherence="averaged", sigma=16.25, *, tolerance=1e-3, illuminant="D65", ior=1.5,
     material=None, masking=True, centre=None,
 ):  # fmt: skip
-    """XYZ of unit vectors (n, 3) in the local frame, shape (n, 3); the coherence by name with sigma, or an object."""
+    """Return XYZ of unit vectors (n, 3) in the local frame, shape (n, 3).
+
+    The coherence is a name with ``sigma``, or an object.
+    """
     step = step_of(coherence, sigma, centre)
     ior = math.inf if material is not None else ior
     gains = gain(to_light, to_view, ior=ior, masking=masking, source=step.kind == "source")
@@ -423,7 +456,10 @@ def reference_reflectance(
 
 
 class Body(NamedTuple):
-    """A mesh in world coordinates with its vertex fields; the texture is sRGB, 8 bits, row 0 at v = 1."""
+    """A mesh in world coordinates with its vertex fields.
+
+    The texture is sRGB with 8 bits, and its row 0 is at v = 1.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -435,24 +471,32 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, surface, texture=None):
-        """The arrays of a prepared surface, which are inputs here as the height field is."""
+        """Return the arrays of a prepared surface of the library, which the reference uses as inputs."""
         fields = (getattr(surface, name) for name in ("normals", "tangents", "handedness", "uvs"))
         place = surface.vertices.astype(np.float64) * surface.radius + surface.centre
         return cls(place, surface.faces, *(field.astype(np.float64) for field in fields), texture)
 
 
 class Pixels(NamedTuple):
-    """XYZ of pixels (k, 3); which are hit; which are lit by any light; where float32 may well decide otherwise."""
+    """Reference colours of pixels.
+
+    Attributes:
+        xyz: XYZ, shape (k, 3).
+        hit: Whether the pixel's ray hits the mesh.
+        illuminated: Whether any light illuminates the hit.
+        unsure: Whether float32 may decide differently about hit or shadow.
+        cos_geometric: Cosine between the last light and the face normal on the viewer's side.
+    """
 
     xyz: np.ndarray
     hit: np.ndarray
     illuminated: np.ndarray
     unsure: np.ndarray
-    cos_geometric: np.ndarray  # of the last light, on the viewer's side
+    cos_geometric: np.ndarray
 
 
 def bilinear(texture, uv):
-    """Linear RGB of an sRGB texture (h, w, 3) that repeats, at (k, 2)."""
+    """Return linear RGB of a repeating sRGB texture (h, w, 3) at texture coordinates (k, 2), by bilinear lookup."""
     encoded = np.asarray(texture, dtype=np.float64) / 255.0
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     height, width = linear.shape[:2]
@@ -467,7 +511,7 @@ def bilinear(texture, uv):
 
 
 def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
-    """XYZ of linear base colours (k, 3) under the diffraction layer."""
+    """Return XYZ of base colours (k, 3), in linear RGB, under the diffraction layer."""
     grid = np.arange(380, 781) * 1e-3
     if step.kind == "source":
         weight = np.full(len(grid), 2.0 * step.spread**2)
@@ -486,23 +530,23 @@ def reference_picture(
     body, heightfield, lights, view, pixels, coherence="averaged", sigma=16.25, *, tolerance=1e-3, ior=1.5,
     masking=True, pigment=1.0, shadows=True, smooth=True, chunk=64,
 ):  # fmt: skip
-    """The given pixels of a picture, by index along rows from the top left.
+    """Return reference colours of pixels of a picture. Indices run along rows from the top left.
 
     Args:
         body: A ``Body``.
-        heightfield: The height field.
+        heightfield: Height field.
         lights: Objects with ``to_light``, ``illuminant`` and ``power``.
-        view: The camera.
-        pixels: Indices, shape (k,).
-        coherence: Its kind by name, or an object with all of it.
-        sigma: Of the coherence [µm], where it is given by name.
-        tolerance: The integral over λ settles to a twentieth of it.
+        view: Camera.
+        pixels: Indices of pixels, shape (k,).
+        coherence: Kind of coherence by name, or a coherence object.
+        sigma: Standard deviation of the window [µm] for a coherence by name.
+        tolerance: Tolerance; the integral over λ converges to a twentieth of it.
         ior: Index of refraction.
-        masking: Whether to mask.
+        masking: Whether the masking term is applied.
         pigment: Strength of the texture.
-        shadows: Whether to cast shadow rays.
-        smooth: Whether to interpolate normals.
-        chunk: Rays that meet all faces at a time.
+        shadows: Whether shadow rays are traced.
+        smooth: Whether normals are interpolated.
+        chunk: Number of rays that are intersected with all faces at a time.
     """
     step = step_of(coherence, sigma, None)
     fov = None if view.extent_y else view.fov_y_deg
@@ -522,7 +566,8 @@ def reference_picture(
     side = np.where(np.sum(geometric * directions, axis=1) > 0.0, -1.0, 1.0)[:, None]
     start = point
     if smooth:
-        # The shadow terminator of Hanika 2021: onto the tangent planes of the corners where the surface is convex.
+        # Shadow rays start on the tangent planes of the corners where the surface is convex (Hanika 2021, "Hacking the
+        # shadow terminator").
         outward = side[:, :, None] * body.normals[corners]
         below = np.minimum(np.sum((point[:, None] - places) * outward, axis=2), 0.0)
         start = np.einsum("kc,kcd->kd", bary, point[:, None] - below[:, :, None] * outward)
@@ -562,7 +607,7 @@ def reference_picture(
 
 
 class PictureError(NamedTuple):
-    """Error of a picture, on a sample of its pixels."""
+    """Error of a picture, from a sample of its pixels."""
 
     median: float
     p99: float
@@ -574,12 +619,15 @@ class PictureError(NamedTuple):
     def __str__(self):
         return (
             f"median {self.median:.1e}, P99 {self.p99:.1e}; {100.0 * self.share_below:.1f} % of {self.illuminated} "
-            f"illuminated pixels below f, their P99 {self.below:.1e}; {self.unsure} excluded at edges"
+            f"illuminated pixels below f with P99 {self.below:.1e}; {self.unsure} pixels excluded at edges"
         )
 
 
 def stratified(mask, count, seed=0):
-    """Return indices of ``count`` pixels of a mask, one random pixel per run of equal length along the rows."""
+    """Return indices of ``count`` pixels of a mask.
+
+    Each is random within one of ``count`` equal runs along the rows.
+    """
     inside = np.flatnonzero(mask)
     edges = np.linspace(0.0, len(inside), count + 1)
     places = np.random.default_rng(seed).uniform(edges[:-1], edges[1:]).astype(int)
@@ -587,7 +635,7 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """Return the error of XYZ (k, 3) against ``Pixels``, over the illuminated ones."""
+    """Return the error of XYZ (k, 3) relative to reference ``Pixels``, over the illuminated pixels."""
     use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
     floor = FLOOR * reference_luminance(exact[:, 1])

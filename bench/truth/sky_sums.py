@@ -1,11 +1,11 @@
-"""Colours of pixels under a sky or a disc light, by sums of the reflectance over directions, with shadows.
+"""Reference colours of pixels under a sky or a disc light, by sums of the reflectance over directions, with shadows.
 
 The sums use no code of environments, disc lights, shadow grids or footprints.
 
-A pixel's rays are distributed over its filter (a Gaussian, σ 0.5 pixel, truncated at 1.5). Each has a direction of its
-own, half of them from the light and half from around the mirror direction (balance heuristic), and a shadow ray through
-a hierarchy of its own. dω cos θ is dx dy in the shading frame. The radiance from there is ρ L dω 4πσ²/λ², for light
-whose spectrum is that of its RGB under D65 (Mallett and Yuksel 2019).
+The rays of a pixel are distributed over its filter, a Gaussian with σ = 0.5 pixels, truncated at 1.5 pixels. Each ray
+has its own direction to the light. Half of the directions are drawn from the light and half from around the mirror
+direction (balance heuristic). Shadow rays use a separate hierarchy. The solid angle dω cos θ is dx dy in the shading
+frame. The radiance is ρ L dω 4πσ²/λ², for light whose spectrum is that of its RGB under D65 (Mallett and Yuksel 2019).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Traced rays along a side of a pixel, to which samples are rounded.
+# Number of traced rays along each axis of a pixel. Samples are rounded to them. Limit: fewer distort the filter.
 _ACROSS = 16
-# Share of the directions around the mirror direction that lie within the mirror's lobe.
+# Share of the mirror-centred directions that lie within the mirror lobe. Any share is unbiased; it affects the noise.
 _CORE = 0.25
-# Directions whose colours are looked up together.
+# Number of directions whose colours are looked up together. Limit: memory.
 _DIRECTIONS = 1 << 17
-# Beyond any distance between two points of a mesh, in units of its radius.
+# Length of shadow rays, in mesh radii. Derived: larger than any distance between two points of a mesh.
 _FAR = 4.0
 
 
@@ -50,12 +50,12 @@ def _find_occluded(
 
 
 class SkySums:
-    """Sums for the pixels of a mesh with a height field."""
+    """Sums of reflected light for the pixels of a mesh with a height field."""
 
     def __init__(
         self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence, *, shadows: bool = True
     ) -> None:
-        """Trace the rays."""
+        """Trace the camera rays of all pixels."""
         fine = replace(view, width=_ACROSS * view.width, height=_ACROSS * view.height)
         surface, device = prepare_surface(mesh), resolve_device(None)
         rays = rays_for(surface, fine, device=device, threads=1)
@@ -73,7 +73,7 @@ class SkySums:
         self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
 
     def interior(self) -> NDArray[np.int64]:
-        """Return row and column of the pixels whose filter rays all hit the mesh, (n, 2)."""
+        """Return rows and columns (n, 2) of the pixels whose filter rays all hit the mesh."""
         margin = 3 * _ACROSS // 2
         edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
         edges = np.pad(edges, ((1, 0), (1, 0)))
@@ -84,8 +84,8 @@ class SkySums:
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
         """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, (n, 3).
 
-        Rays and directions are stratified independently. Points of the disc alone would miss a narrow mirror lobe in
-        nearly all rays.
+        Rays and light directions are stratified independently. Sampling only the disc would miss a narrow mirror lobe
+        with nearly all rays.
         """
         axis = np.asarray(light.to_light)
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -95,7 +95,7 @@ class SkySums:
         solid_angle = 2.0 * math.pi * (1.0 - narrowest)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Equal shares of the solid angle.
+            # Uniform random numbers become directions that are uniform over the solid angle of the disc.
             cosine = 1.0 - share[:, 0] * (1.0 - narrowest)
             sine, around = np.sqrt(1.0 - cosine**2), 2.0 * math.pi * share[:, 1]
             return np.asarray(np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends)
@@ -117,7 +117,10 @@ class SkySums:
         return light.power * self._sums(pixels, draw, density, colours, across, seed)
 
     def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
-        """Return XYZ of pixels under a sky, (height, width) or with RGB, by ``across``² rays per pixel, (n, 3)."""
+        """Return XYZ of pixels under a sky, by ``across``² rays per pixel, (n, 3).
+
+        ``sky`` has the shape (height, width), or (height, width, 3) with RGB.
+        """
         sky = np.repeat(sky[..., None], 3, axis=2) if sky.ndim == 2 else sky
         height, width = sky.shape[:2]
         share_of = sky.sum(axis=2) * np.sin((np.arange(height) + 0.5) / height * math.pi)[:, None]
@@ -125,14 +128,15 @@ class SkySums:
         cumulative = np.cumsum(share_of)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Linear between pixels: each reaches one pixel further to all sides, by two numbers from 0 to 1.
+            # The sky is interpolated linearly, so that each sky pixel extends one pixel further to all sides. The
+            # position within it has a triangular distribution.
             pixel = np.minimum(np.searchsorted(cumulative, share[:, 0]), cumulative.size - 1)
             within = (share[:, 0] - np.append(0.0, cumulative)[pixel]) / share_of.ravel()[pixel]
             down, right = (_triangular(number) for number in (within, share[:, 1]))
             polar = (pixel // width + 0.5 + down) / height * math.pi
             azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
             along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
-            # Beyond a pole there is nothing, and a density of 0.
+            # Samples beyond a pole become zero vectors, whose density is 0.
             return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
 
         def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,7 +162,10 @@ class SkySums:
         self, pixels: NDArray[np.int64], draw: Callable[..., Any], density: Callable[..., Any],
         colours: Callable[..., Any], across: int, seed: int,
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Return sums over directions, half of them drawn from the light; colours are per solid angle."""
+        """Return sums over directions, half of them drawn from the light and half around the mirror direction.
+
+        ``draw`` and ``density`` describe directions from the light. ``colours`` returns XYZ per solid angle.
+        """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
         result = np.zeros((len(pixels), 3))
@@ -190,7 +197,7 @@ class SkySums:
         return result
 
     def _occluded(self, origins: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the mesh is met on the way to the light."""
+        """Return whether the mesh occludes the light, for each ray."""
         if self._mesh is None:
             return np.zeros(len(origins), dtype=np.bool_)
         arrays = [wp.array(values, dtype=wp.vec3f, device=self._device) for values in (origins, towards)]
@@ -200,12 +207,16 @@ class SkySums:
 
     @property
     def _mirror(self) -> tuple[float, float]:
-        """Radius within which mirror directions are uniform in (u, v), and the logarithm of the largest over it."""
+        """Parameters of the mirror-centred directions in (u, v).
+
+        They are uniform within the first value; beyond it the logarithm of their radius is uniform. The second value is
+        the logarithm of the ratio of the largest radius to the first value.
+        """
         within = 0.05 / (self._coherence.sigma_um or math.inf)
         return within, math.log(2.0 / within)
 
     def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (u, v) of mirror directions for pairs of numbers from 0 to 1, (n, 2)."""
+        """Return (u, v) of mirror-centred directions, (n, 2), for pairs of uniform random numbers from 0 to 1."""
         within, digits = self._mirror
         radius = np.where(
             share[:, 0] < _CORE,
@@ -216,7 +227,7 @@ class SkySums:
         return np.stack([radius * np.cos(around), radius * np.sin(around)], axis=-1)
 
     def _density(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the density of mirror directions over (u, v)."""
+        """Return the probability density of mirror-centred directions over (u, v), by |(u, v)|."""
         within, digits = self._mirror
         beyond = (1.0 - _CORE) / (2.0 * math.pi * digits * np.maximum(radius, within) ** 2)
         return np.where(radius < within, _CORE / (math.pi * within**2), np.where(radius < 2.0, beyond, 0.0))
@@ -225,18 +236,21 @@ class SkySums:
     def _rays(
         pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Return the indices of the traced rays of a pixel's filter, one in each of its ``across``² parts."""
+        """Return the indices of traced rays that represent a pixel's filter, one in each of its ``across``² strata."""
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
 
 def _triangular(number: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numbers of a triangular distribution from −1 to 1, from numbers that are even from 0 to 1."""
+    """Return numbers with a triangular distribution from −1 to 1, from uniform numbers between 0 and 1."""
     return np.where(number < 0.5, np.sqrt(2.0 * number) - 1.0, 1.0 - np.sqrt(np.maximum(2.0 - 2.0 * number, 0.0)))
 
 
 def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
-    """Return the spectra L/λ² of red, green and blue light, and 4πσ² times what they add to Y over that of D65."""
+    """Return the spectra L/λ² of red, green and blue light, each with a scale.
+
+    The scale is 4πσ² times the channel's contribution to Y, relative to Y of D65.
+    """
     colour: Any = colour_science()
     nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
     basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
@@ -251,9 +265,9 @@ def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
 
 
 def radiance(sky: NDArray[np.float64], along: NDArray[np.float64], *, beyond: int = 0) -> NDArray[np.float64]:
-    """Return a sky's radiance in directions (n, 3): middle column at −z, row 0 at +y, linear between centres.
+    """Return the radiance of a sky in directions (n, 3), interpolated linearly between pixel centres.
 
-    The sky may have rows ``beyond`` the poles.
+    The middle column of the sky is at −z and row 0 at +y. The sky may have ``beyond`` additional rows at both poles.
     """
     width, last = sky.shape[1], len(sky) - 1.000001
     height = len(sky) - 2 * beyond

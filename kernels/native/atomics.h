@@ -1,4 +1,5 @@
-// Atomic changes of numbers: slices of a launch run on several threads, and Warp's own are atomic on a GPU only.
+// Atomic operations for the CPU and the GPU. On the CPU, several threads run slices of one launch, and Warp's own
+// atomic functions are atomic only on a GPU.
 
 #pragma once
 
@@ -6,7 +7,7 @@
 
 namespace warpdiff {
 
-// Increment by 1, and return the previous value.
+// Increment a counter by 1 atomically. Return its previous value.
 WARPDIFF_INLINE int atomic_increment(int* count)
 {
 #if defined(__CUDA_ARCH__)
@@ -18,6 +19,7 @@ WARPDIFF_INLINE int atomic_increment(int* count)
 
 #if !defined(__CUDA_ARCH__)
 
+// Replace a number by `value` atomically if `value` is smaller.
 template <class Number>
 WARPDIFF_INLINE void keep_smallest(Number* smallest, Number value)
 {

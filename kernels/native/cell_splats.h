@@ -1,4 +1,5 @@
-// Sums over the cells of a subdivided pixel, for that pixel and the eight around it, weighted by the pixels' filter.
+// Splatting of subpixel cells. The cells of a subdivided pixel are summed with the weights of the pixel filter, for
+// that pixel and for its eight neighbours.
 
 #pragma once
 
@@ -6,21 +7,23 @@
 
 namespace warpdiff {
 
-// Bits of what the cells of a pixel show: any that is lit, any that is not, and any that meets nothing.
+// Bits that describe the cells of a pixel: at least one cell is illuminated (LIT), is dark (UNLIT), or does not hit the
+// mesh (MISSED).
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
-// Most blocks of cells along a side of a pixel, whose means tell how cells scatter.
+// Largest number of blocks of cells along each axis of a pixel. The scatter of a pixel is estimated from the means of
+// its blocks. Limit: size of local arrays.
 constexpr int BLOCKS = 4;
 
-// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` has the sum of colours times weights and the sum
-// of weights for the pixel that lies 1 − i rows below and 1 − j columns to the right. `blocks` has the sum of colours
-// of each block and the number of its cells that have a colour. `lighting` has the bits.
+// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` has the sum of colours times weights, and the sum
+// of weights, for the pixel that lies 1 − i rows below and 1 − j columns to the right. `blocks` has the sum of colours
+// of each block and the number of its cells that hit the mesh. `lighting` has the bits LIT, UNLIT and MISSED.
 struct CellSums {
     float filtered_sums[3][3][4] = {}, blocks[BLOCKS][BLOCKS][4] = {};
-    int across, cells; // blocks, and cells of each
+    int across, cells; // number of blocks along an axis, number of cells per block
     unsigned char lighting = 0;
 
-    // The mean colour of the quadrant of a row and a column.
+    // Compute the mean colour of one of the four quadrants of the pixel, from its row and its column (0 or 1).
     WARPDIFF_INLINE void quadrant(int row, int column, float* mean) const
     {
         const int half = across / 2;
@@ -32,8 +35,8 @@ struct CellSums {
         }
     }
 
-    // The standard deviation of the pixel's sum over its cells, ‖ΔXYZ‖, over their number, as if the means of blocks
-    // were independent. What meets nothing is not at random.
+    // Return the estimated standard deviation ‖ΔXYZ‖ of the pixel's mean colour. The means of the blocks count as
+    // independent samples. Cells that hit nothing do not count as random.
     WARPDIFF_INLINE float scatter() const
     {
         float total[4] = {}, square = 0.0f;
@@ -54,9 +57,8 @@ struct CellSums {
     }
 };
 
-// Sum `across` times `across` cells: one after the other in rows, and rows for the three pixels above, here and below.
-// `is_sampled` tells whether colours are samples. `along` weighs cells by how far they are, along one axis, from the
-// middle pixel of three.
+// Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of cells along one axis for the
+// previous, the same and the next pixel. `is_sampled` states whether the colours are random samples.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
@@ -73,7 +75,8 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // A sample that shows nothing does not tell that no other would.
+            // A black random sample does not prove that the cell is dark: another sample of the same cell may be
+            // bright.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const block = sums.blocks[row / per_block][column / per_block];
             for (int c = 0; c < 4; ++c) block[c] += value[c];
@@ -87,8 +90,9 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Splat pixels from begin to end of those that are split, −1 is none. How the cells scatter is written if they are
-// samples; otherwise at the base level the quadrants and the changes from the colours before.
+// Sum the cells of the subdivided pixels from `begin` to `end` and store the sums; the index −1 marks no pixel. For
+// random samples, `changes_out` receives the scatter of the cells. At the base level it receives the change from the
+// previous colour, and `quadrants_out` the mean colours of the quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

@@ -1,5 +1,5 @@
-// From sums of a colour table's rows to XYZ: the functions of w that all rows share, and the zeroth order, which rows
-// leave out.
+// Conversion of a sum of colour table rows to XYZ. All rows share the same basis functions of w. The zeroth order is
+// added separately, because the rows exclude it.
 
 #pragma once
 
@@ -7,8 +7,8 @@
 
 namespace warpdiff {
 
-// The functions of w are tabulated at equal steps: for each of N pixels the first of four entries, and the weights of
-// the cubic through them.
+// Cubic interpolation in the table of basis functions, which has equal steps in |w|. Each of N pixels has the index of
+// the first of four entries and the weights of these entries.
 template <int N>
 struct AtW {
     Batch<N, int> entry;
@@ -32,7 +32,7 @@ struct Colour {
     float xyz[3];
 };
 
-// The scalar products of a sum of rows, X, Y and Z, with the functions at pixel i's w.
+// Return X, Y and Z of pixel i: the scalar products of a sum of rows with the basis functions at the pixel's w.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i)
 {
@@ -54,7 +54,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Add so much of pixel i's colour by a sum of rows. Projected colour curves have shallow negative lobes.
+// Add the colour of a sum of rows, multiplied by `share`, to pixel i. Negative values are clipped to 0, because
+// projected colour curves have shallow negative lobes.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -63,8 +64,9 @@ WARPDIFF_INLINE void add_colour(
     for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * wp::max(colour.xyz[c], 0.0f);
 }
 
-// Add the zeroth order's XYZ, that of the mean plane, over a covariance of (u, v): a Gaussian at each wavelength.
-// `source2` is the part of a source, the root of its covariance's determinant; (u, v) and the rest are of one pixel.
+// Add the XYZ of the zeroth order, which is the reflection at the mean plane, of one pixel. At each wavelength its lobe
+// is a Gaussian, widened by the covariance (xx, xy, yy) of (u, v). `source2` is the square root of the determinant of
+// the light source's covariance.
 template <class Table>
 WARPDIFF_INLINE void add_zeroth_order(
     const Table& table, float u, float v, float w, float xx, float xy, float yy, float source2, float gain, float* xyz)
@@ -75,9 +77,10 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float* const weights = numbers<const float>(table.weights);
     const float* const powers = numbers<const float>(table.zeroth_order);
     const float least = wavenumbers[0];
-    // Not so far out at any wavelength that exp(-24) = 4e-11 is left.
+    // Skip directions where the Gaussian is below exp(−24) = 4e-11 at all wavelengths.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
-    // Reflectance of a material, linear between two angles: cos θd is |(u, v, w)|/2.
+    // Interpolate the reflectance of the material linearly between two tabulated angles. The cosine of the angle θd is
+    // |(u, v, w)|/2.
     const float* const reflectances = numbers<const float>(table.reflectances);
     const int angles = table.reflectances.shape[1];
     const float cosine = wp::min(0.5f * wp::sqrt(u * u + v * v + w * w), 1.0f) * (float)(angles - 1);

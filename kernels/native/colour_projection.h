@@ -1,4 +1,5 @@
-// From rows of the power spectrum on azimuths to colours at the rings of a table, for a few azimuths side by side.
+// Projection of the power spectrum to the colours of a table. The spectrum is given as rows along azimuths. A few
+// azimuths are processed together.
 
 #pragma once
 
@@ -7,7 +8,8 @@
 
 namespace warpdiff {
 
-// Room for the rows that an azimuth of colours takes, one after the other.
+// Buffer for the `length` spectrum rows from which the colours along one azimuth are computed, in the order of their
+// rings.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
@@ -24,7 +26,7 @@ struct AzimuthRows {
     }
 };
 
-// Rows halfway between azimuths: Lagrange's polynomial through four on either side.
+// Interpolate the rows halfway between two azimuths, by the Lagrange polynomial through four azimuths on either side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -44,9 +46,10 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// The rows that colours along AZIMUTHS azimuths take, `length` for each: one before the first of their octave, which
-// counts as dark, the octave, the next one, and of the one behind that what is left. An octave may have half as many
-// azimuths as the next one.
+// Join the spectrum rows from which colours along AZIMUTHS azimuths are computed, `length` rows per azimuth. The first
+// row is black and represents the ring before the octave. The rows of the octave, of the next octave and of the
+// beginning of the octave after that follow. An octave may have half as many azimuths as the next one; its missing
+// azimuths are interpolated.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>
 WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& azimuths_of, int rings,
     int octave, int first_azimuth, Values& sequence, int at, int length)
@@ -57,7 +60,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     const int* const counts = numbers<const int>(azimuths_of);
     const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
     const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
-    // A spectrum of few rings per octave ends before the filter's last taps.
+    // With few rings per octave, two octaves have fewer rows than the filter to spline coefficients requires. A third
+    // octave then supplies the remaining rows.
     const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
     auto rows_of_azimuth = [&](int of, int azimuth) {
@@ -78,8 +82,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     }
 }
 
-// Turn the rows of one azimuth into coefficients of the quadratic spline that passes through them, by a filter that
-// runs up and down.
+// Replace the rows of one azimuth by the coefficients of the quadratic spline that passes through them. The recursive
+// filter runs forwards and then backwards.
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
@@ -97,7 +101,8 @@ WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows,
     }
 }
 
-// Coefficients of FUNCTIONS functions of w in vectors, the last of which may overlap the one before.
+// Layout of the W_BASIS_SIZE coefficients, one for each basis function of w, in SIMD vectors. The last vector may
+// overlap the one before it.
 template <int W_BASIS_SIZE>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
@@ -110,8 +115,9 @@ struct FunctionVectors {
     }
 };
 
-// Sums over `taps` rows of AZIMUTHS azimuths, `apart` floats from each other: what a row's terms give for each function
-// of w, by a matrix that the azimuths share, weighed with the colour curves.
+// Compute the colour coefficients of one ring on AZIMUTHS azimuths as weighted sums over `taps` spectrum rows. A
+// matrix, the same for all azimuths, converts the terms of a row to coefficients of the basis functions of w. The
+// colour curves are the weights of the rows. Azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -150,7 +156,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Colours along AZIMUTHS azimuths from their `length` rows; that of the first ring begins behind those `skipped`.
+// Compute colours along AZIMUTHS azimuths from `length` spectrum rows per azimuth. The first `skipped` rows lie before
+// the first ring.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -1,4 +1,5 @@
-// Functions by short series: faster than the library's, and without branches, so that loops over them become vectors.
+// Elementary functions by short series. They are faster than those of the standard library and have no branches, so
+// that compilers can vectorise loops over them.
 
 #pragma once
 
@@ -33,20 +34,21 @@ WARPDIFF_INLINE float float_of(int bits)
 }
 
 struct LogPolar {
-    float log2;  // logarithm of the radius to the base of 2
-    float turns; // angle, from 0 to 1
+    float log2;  // logarithm of the radius to the base 2
+    float turns; // angle [turns], from 0 to 1
 };
 
-// A place in logarithmic polar coordinates; its radius counts as `least` at least.
+// Convert a point (u, v) to logarithmic polar coordinates. Radii below `least` are replaced by `least`.
 WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
 {
-    // The logarithm of a power of two times m, and of m between √½ and √2 by the series in (m − 1)/(m + 1).
+    // The squared radius is a power of two times m, and m lies between √½ and √2. The logarithm of m is a series in (m
+    // − 1)/(m + 1).
     const float uv2 = u * u + v * v, least2 = least * least;
     const int above = bits_of(uv2 > least2 ? uv2 : least2) - 0x3f3504f3;
     const float m = float_of((above & 0x7fffff) + 0x3f3504f3);
     const float s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
     const float series_of_m = 1.0f + s2 * (1.0f / 3.0f + s2 * (0.2f + s2 * (1.0f / 7.0f)));
-    // The angle, by the series of the arc tangent within a sixteenth of a turn.
+    // The angle is the series of the arc tangent, for arguments within 1/16 turn.
     const float x = u < 0.0f ? -u : u, y = v < 0.0f ? -v : v;
     const float more = x > y ? x : y, less = x > y ? y : x;
     const bool beyond = less > 0.41421356f * more;
@@ -64,10 +66,10 @@ WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
     };
 }
 
-// x and y of the unit circle after so many turns, to 1e-6.
+// Compute the point (x, y) of the unit circle at an angle in turns. The error is at most 1e-6.
 WARPDIFF_INLINE void on_circle(float turns, float& x, float& y)
 {
-    // By the series of half the angle, which is a quarter of a turn at most.
+    // The sine and cosine series are evaluated at half the angle, which is at most a quarter of a turn.
     const float a = PI * (turns - wp::rint(turns)), a2 = a * a;
     const float series =
         1.0f + a2 * (-1.0f / 6.0f + a2 * (1.0f / 120.0f + a2 * (-1.0f / 5040.0f + a2 * (1.0f / 362880.0f))));
@@ -80,8 +82,8 @@ WARPDIFF_INLINE void on_circle(float turns, float& x, float& y)
     y = 2.0f * sine * cosine;
 }
 
-// The angle of a cosine, cut to −1 and 1: from 0 to ½ turns, both of which are exact, to 2e-5 (Abramowitz and Stegun
-// 4.4.45).
+// Return the angle [turns] whose cosine is given, from 0 to ½. Arguments are clamped to −1 and 1, where the result is
+// exact. Elsewhere the error is at most 2e-5 (Abramowitz and Stegun 4.4.45).
 WARPDIFF_INLINE float turns_of_cosine(float cosine)
 {
     const float x = smaller(cosine < 0.0f ? -cosine : cosine, 1.0f);
@@ -89,13 +91,13 @@ WARPDIFF_INLINE float turns_of_cosine(float cosine)
     return cosine < 0.0f ? 0.5f - angle * (0.5f / PI) : angle * (0.5f / PI);
 }
 
-// exp(−t), for |t| up to 1 or little more.
+// Return exp(−t) by a series of degree four, for |t| of at most about 1.
 WARPDIFF_INLINE float exp_of_minus_small(float t)
 {
     return 1.0f - t * (1.0f - t * (0.5f - t * (1.0f / 6.0f - t * (1.0f / 24.0f))));
 }
 
-// exp(16 x), as the 16th power of a series up to the fourth; x down to −0.3.
+// Return exp(16 x) as the 16th power of a series of degree four, for x between −0.3 and 0.
 WARPDIFF_INLINE float exp_of_sixteenfold(float x)
 {
     float result = 1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f + x * (1.0f / 24.0f))));
@@ -106,7 +108,8 @@ WARPDIFF_INLINE float exp_of_sixteenfold(float x)
     return result;
 }
 
-// exp(x) to 8e-8, as 2 to the power of a whole number and of what is left of it, between −1/2 and 1/2.
+// Return exp(x) for x ≤ 0 with a relative error of at most 8e-8. The result is a power of two times a polynomial for
+// the fractional exponent, which lies between −½ and ½.
 WARPDIFF_INLINE float exp_of_negative(float x)
 {
     const float y = wp::max(1.442695041f * x, -126.0f);

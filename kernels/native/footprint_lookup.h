@@ -1,9 +1,10 @@
-// Mean colours over footprints, Gaussians of (u, v), from a colour table and its mip levels.
+// Mean colours over footprints from a colour table and its mip levels. A footprint is a Gaussian of (u, v).
 //
-// Stage by stage for a run of pixels. A footprint is one part, mostly: it is split where its direction turns. A part
-// sums the rings around it, by segments of rings that lie in one octave; a ring sums the azimuths around it, on the mip
-// level that is blurred by as much or less. What a stage finds is kept in arrays for the next one, so that the compiler
-// makes vectors of it and no pixel waits for another's branches. A GPU takes one pixel, part and segment at a time.
+// A batch of pixels is processed stage by stage. A footprint usually is one part. It is split into several parts where
+// the direction of (u, v) turns within it. The colour of a part is a weighted sum of rings, and segments of rings lie
+// in one octave each. A ring is a weighted sum of azimuths on the widest mip level whose blur does not exceed the
+// footprint's blur. Arrays carry the results from stage to stage, so that loops are vectorised and no pixel waits for
+// another pixel's branches. A GPU thread processes one pixel, part and segment at a time.
 
 #pragma once
 
@@ -14,62 +15,66 @@
 
 namespace warpdiff {
 
-// Loops are of so many, whole ones: compilers round otherwise in what is left over by vectors.
+// Number of pixels or parts that a vectorised loop processes at a time. Loops always run for whole batches, because
+// compilers round differently in the remainder after the last full vector.
 constexpr int ABREAST = batch_of(8);
-// Rings of a segment: any number on a GPU, where they are not kept.
+// Largest number of rings per segment. A GPU has no limit, because it does not store the rings.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Beyond this deviation, relative to |(u, v)|, a footprint under a window is summed over rings.
+// Standard deviation, relative to |(u, v)|, from which a footprint under a window is summed over rings (`ring_sum.h`).
+// Fitted: 0.15 makes frames 5 to 10 % slower.
 constexpr float WIDE = 0.25f;
-// A footprint is split where its direction turns by so much: its parts are straight. Beyond the widest one under a
-// source surrounds the mirror direction and is no range of angles.
+// `MOST_TURN` is the standard deviation of the angle [rad] above which a footprint is split into parts; the parts are
+// treated as straight. A footprint of a light source above `WIDEST_ANGLE` [rad] or `WIDEST_RATIO` (of ln |(u, v)|)
+// surrounds the mirror direction, so that larger values are clamped.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// Up to this variance [rings²] rings have tabulated weights, beyond it the Gaussian itself for weights, and lie as far
-// apart as what they sum is smooth: the blur, the narrowest of the curves of colours (its deviation in ln λ) and what
-// else is in them, and azimuths where these turn from ring to ring.
+// Up to the variance `MOST_TABULATED` [rings²], rings have tabulated weights; above it, their weights are values of the
+// Gaussian. `MOST_APART` bounds the distance of the rings relative to the scale on which colours vary. `CURVES` is the
+// standard deviation of the narrowest colour curve in ln λ.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Rings of the table within this number of standard deviations contribute to a wide blur. The truncated Gaussian has the variance
-// 1/per_variance.
+// Truncated Gaussian for wide blurs across rings. It extends `deviations` standard deviations to either side. Before
+// truncation its variance is 1/`per_variance`, so that its variance after truncation is 1.
 struct CutGaussian {
     float deviations, per_variance;
 };
 
-// Footprints of N pixels.
+// Footprints of N pixels in (u, v), with their covariances.
 template <int N>
 struct Footprints {
     Batch<N> u, v, w;
-    Batch<N> light_x, light_y, light_z;        // of a source, in the surface's frame
-    Batch<N> row_u, row_v, column_u, column_v; // changes by one deviation along rows and columns
-    Batch<N> xx, xy, yy, source2;              // covariance, and the root of the source's determinant
-    Batch<N> angle2, ratio2, both;             // the same of the angle and of ln |(u, v)|
-    Batch<N> along_u, along_v, parts;          // what goes with a deviation of the angle
+    Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
+    Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the filter
+    Batch<N> xx, xy, yy, source2;              // covariance, and square root of the light source's determinant
+    Batch<N> angle2, ratio2, both;             // covariance of the angle and of ln |(u, v)|
+    Batch<N> along_u, along_v, parts;          // change of (u, v) by one standard deviation of the angle
     AtW<N> at_w;
 };
 
-// Their parts.
+// Parts of the footprints of several pixels, with their positions and blurs in the table.
 template <int N>
 struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    Batch<N> turns, place, deviation, skew; // the middle's angle and place among the rings, across rings
+    Batch<N> turns, place, deviation, skew; // angle and ring of the centre; deviation and skew [rings]
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of parts: rings of one octave.
+// Segments: consecutive rings of a part that lie in the same octave.
 template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // Azimuth of the middle of the part, and the angle by which it turns, times 1 − 1/ρ, for a ring that lies ρ times
-    // as far out. Also the distance of the first ring from the mean of ln |(u, v)| [rings], and that of the mean from
-    // the middle; and the blur at the middle and the part of it that the level has, in steps of the variances of taps.
+    // `position` is the azimuth of the part's centre. `turning` times 1 − 1/ρ is the shift of azimuth at a ring with ρ
+    // times the radius. `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|, and `behind` is
+    // the distance of that mean from the centre. `blur` is the blur at the centre and `level_blur` that of the mip
+    // level, in steps of the table of tap weights.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows that a ring sums: the first one, its number, and where their weights begin.
+// Rows that are summed for one ring: index of the first row, number of rows, and index of their first weight.
 struct RingRows {
     int row, count, taps;
 };
@@ -78,8 +83,8 @@ struct PolarCovariance {
     float angle_u, angle_v, angle2, ratio2, both;
 };
 
-// Share of a covariance of (u, v) across it and along it, relative to |(u, v)|, or within the narrowest lobe to its
-// size.
+// Convert a covariance of (u, v) to the covariance of the angle and of ln |(u, v)|. Radii below the width of the
+// narrowest lobe are increased to about that width.
 template <class Table>
 WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -116,13 +121,14 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
-// Covariances, in (u, v) and polar, and into how many parts they are split.
+// Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each.
 template <bool SOURCE, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
-            // A source's is Σs = s² (I − t tᵀ), t the part of the direction to the light that lies in the surface.
+            // The covariance of a light source is Σs = s² (I − t tᵀ). The vector t is the projection of the direction
+            // to the light onto the surface.
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
             const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];
@@ -136,7 +142,7 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
             pixels.angle2[i] = polar.angle2;
             pixels.ratio2[i] = polar.ratio2;
             pixels.both[i] = polar.both;
-            // Parts lie along what goes with the angle.
+            // The centres of a footprint's parts lie along the change of (u, v) that is correlated with the angle.
             const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
             pixels.along_u[i] = polar.angle_u * per_whole;
             pixels.along_v[i] = polar.angle_v * per_whole;
@@ -145,9 +151,9 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
         }
 }
 
-// Whether a source blurs less than the rows are blurred, or so much that it is no range of angles. `cut` is the share
-// of the angle's variance that parts take, `within` the rest. SegmentRings are further apart than what goes with the
-// ratio spreads.
+// Return whether the table cannot serve a pixel under a light source. It cannot where the source blurs less than the
+// rows are already blurred, and near the mirror direction. `cut` is the share of the variance of the angle that the
+// parts represent, and `within` is the remaining share.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -163,7 +169,7 @@ WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels
         < within * within * both * both;
 }
 
-// Whether a footprint is summed over rings.
+// Return whether a footprint is wide compared with |(u, v)|, so that it is summed over rings (`ring_sum.h`).
 template <int N, class Table>
 WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, int i)
 {
@@ -171,12 +177,13 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// The pixel and the part of it that come next.
+// Indices of the pixel and of the part of its footprint that are processed next.
 struct NextPart {
     int pixel, part;
 };
 
-// The next parts, as many as there is room for: their (u, v), covariances and shares of the colour.
+// Fill a batch with the next parts of footprints: their (u, v), covariances and shares of the pixel's colour. The
+// zeroth order and wide footprints are added to the pixels directly.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -216,7 +223,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         parts.ratio2[k] = pixels.ratio2[i];
         parts.both[k] = pixels.both[i];
         if (all > 1) {
-            // The rest of the covariance, along the (u, v) of the part and across it.
+            // The remaining covariance of a part is converted to polar coordinates at the (u, v) of that part.
             const PolarCovariance polar =
                 to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
                     pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
@@ -238,7 +245,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Where parts lie in the table, and how their blur lies across rings and azimuths.
+// Compute the positions of parts in the table, and their blurs across rings and across azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -250,39 +257,43 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2, 1.0e-12f)), 1.0f);
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
-            // The mean of ln |(u, v)| to second order: what lies aside is further away.
+            // The mean of ln |(u, v)| is computed to second order, because points off the axis have a larger radius.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The share that is proportional to the ratio turns the azimuths from ring to ring. The rest of the angle
-            // blurs each ring. The spline between rings has a variance of a quarter.
+            // The part of the angle that is correlated with ln |(u, v)| shifts the azimuth from ring to ring. The
+            // remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance of ¼
+            // rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
             parts.aside2[k] = larger(angle2 - parts.turn_per_ring[k] * both * per_log, 0.0f);
             parts.deviation[k] = deviation;
-            // A sixth of the third moment of ln |(u, v)| in deviations, of what goes along it: the lower half reaches
-            // further. What an angle that goes with it adds is not that of azimuths that lie on a line.
+            // The skew is a sixth of the third moment of ln |(u, v)| in standard deviations: smaller radii extend
+            // further on a logarithmic scale. The angle's contribution to the third moment is ignored, as it does not
+            // hold for azimuths on a straight line.
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
 
-// Rings that the parts sum: their first and last index, their distance, and their weights.
+// Select the rings that each part sums: first and last index, spacing and weights.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // Apart from the rest, as the compiler makes no vectors of loops that read from any place and write to several.
+    // This loop only reads a table. It is separate, because compilers do not vectorise loops with indexed reads and
+    // several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // A source's lines are narrower than the azimuths are apart, and what blurs them has that in it.
+            // Lines of a light source's table are narrower than the spacing of its azimuths. Their blur already
+            // includes the spacing.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -302,7 +313,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // Whole multiples, so that neighbouring pixels use the same rings.
+            // The index of the first ring is a multiple of the ring spacing, so that neighbouring pixels use the same
+            // rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -310,12 +322,12 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// The part and the ring of it that come next.
+// Indices of the part of a footprint and of its ring that are processed next.
 struct NextRing {
     int part, ring;
 };
 
-// The next segments, as many as there is room for.
+// Fill a batch with the next segments of rings.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -338,7 +350,7 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Where segments lie on their mip level.
+// Select the mip level of each segment, and compute its azimuth, blur and first row on that level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -349,7 +361,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
-            // The level that is blurred by as much or less, each twice as much as the one before, and what is left.
+            // Select the widest mip level whose blur does not exceed that of the footprint; each level has twice the
+            // blur of the one before. The taps across azimuths add the remaining blur.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -370,7 +383,7 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// The weight of a segment's m-th ring by a Gaussian, up to a factor.
+// Return the weight of a segment's m-th ring by the Gaussian with its skew, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -379,9 +392,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// The azimuth around the direction that goes with a ring, and what is left of the blur, in steps of the taps'
-// variances: across (u, v) a straight footprint is as wide at all rings, and its middle lies aside in proportion to how
-// far out they are, which further out is less of an angle.
+// Compute the azimuth of the footprint at a segment's m-th ring, and the remaining blur in steps of the table of tap
+// weights. A straight footprint has the same width at all rings, so that its angular width decreases with the radius.
+// The angle of its axis decreases with the radius for the same reason.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -393,7 +406,7 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// The rows around there, of which `count` are taken.
+// Return the `count` rows around an azimuth of a segment's m-th ring, and the index of their weights.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -412,7 +425,8 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Results of rings, stored for whole batches on the CPU. A GPU computes each one when it is needed.
+// Rows and weights of the rings of segments. The CPU stores those of whole batches. A GPU computes them when a ring is
+// summed.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -462,7 +476,7 @@ struct SegmentRings {
     }
 };
 
-// Sum rows of segments, and add the colours of parts that end with them.
+// Sum the rows of segments. Where a part ends, convert its sum to a colour and add it to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)
@@ -494,10 +508,11 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
     }
 }
 
-// Add the mean XYZ over footprints and the source of scattering vectors from begin to end, at most BATCH, times their
-// gains.
+// Add mean XYZ, multiplied by the gains, over the footprints of the scattering vectors from `begin` to `end`, at most
+// BATCH. With `SOURCE`, the means include the extent of the light source.
 //
-// Of a source, those that the table does not serve are skipped, and `unserved_gain` holds their gains, others' are 0.
+// Directions that the table of a light source cannot serve are skipped. Their gains are stored in `unserved_gain`,
+// which is 0 for all other directions.
 template <int W_BASIS_SIZE, bool SOURCE, int BATCH, int MOST_PARTS, class Table, class Taps, class ScatteringVectors,
     class Lights, class Gains, class FootprintArray, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,

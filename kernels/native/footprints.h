@@ -1,4 +1,5 @@
-// Footprints of pixels in (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray has met.
+// Footprints of pixels: first-order changes of (u, v) by ray differentials (Igehy 1999) on the face that the camera ray
+// hits.
 
 #pragma once
 
@@ -9,11 +10,12 @@
 namespace warpdiff {
 
 struct FootprintLimits {
-    float least_cosine; // that shading normals keep with the view
-    float least_facing; // the least cosine between the view and a face that its plane is followed at
+    float least_cosine; // least cosine between shading normals and the view direction
+    float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
 };
 
-// A move in the picture by one deviation of the filter: to the right, and downwards, and what else of the view counts.
+// Displacements in the picture plane by one standard deviation of the pixel filter, to the right and downwards, with
+// the eye and the backward axis of the camera.
 struct FilterSteps {
     float step[2][3], back[3], eye[3];
     bool perspective;
@@ -32,7 +34,7 @@ struct FilterSteps {
     }
 };
 
-// Frames and scattering vectors of a batch of pixels, and their footprints.
+// Shading frames, scattering vectors and footprints of a batch of pixels.
 template <int N>
 struct FootprintBatch {
     Batch<N> tangent[3], bitangent[3], normal[3], minus_uvw[3];
@@ -55,7 +57,8 @@ struct FootprintBatch {
     }
 };
 
-// How a face's shares of its corners, and what is interpolated by them, change in the plane of the picture.
+// Derivatives of the barycentric coordinates of a hit, and of the quantities interpolated with them, with respect to
+// displacements in the picture plane.
 struct FaceDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;
@@ -81,7 +84,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
         face.tangent[c] = pixels.tangent[0][c][i] + share1 * face.tangent1[c] + share2 * face.tangent2[c];
         away[c] = filter.eye[c] - pixels.position[0][c][i] - share1 * edge1[c] - share2 * edge2[c];
     }
-    // Change of the shares of corners by a move in the plane of the picture, projected along the view.
+    // Derivatives of the barycentric coordinates for a displacement in the picture plane that is projected along the
+    // view direction.
     cross(edge1, edge2, face.across);
     cross(edge2, face.across, face.of_share1);
     cross(face.across, edge1, face.of_share2);
@@ -91,13 +95,15 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
     face.slide1 = dot(face.view, face.of_share1) * per_facing;
     face.slide2 = dot(face.view, face.of_share2) * per_facing;
-    // How far along the view a unit of that plane lies, and the mesh.
+    // Convert unit lengths of the picture plane to changes of the view direction (`per_unit`) and to distances on the
+    // mesh (`scale`).
     face.per_unit = filter.perspective ? dot(face.view, filter.back) : 0.0f;
     face.scale = (filter.perspective ? face.per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
     return face;
 }
 
-// Changes of (u, v) along both steps: the frame turns as a whole, with the normal, and about it with the tangent.
+// Compute the changes of (u, v) for the displacements along both picture axes. The shading frame rotates with the
+// normal, and about the normal with the tangent.
 template <int N>
 WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
     bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)
@@ -123,13 +129,13 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         const float along = dot(face.view, step), through = dot(face.across, step);
         const float share1 = face.scale * (dot(face.of_share1, step) - face.slide1 * through);
         const float share2 = face.scale * (dot(face.of_share2, step) - face.slide2 * through);
-        // Change of the view along each axis of the frame.
+        // Changes of the view direction along the three axes of the shading frame.
         const float t_turn = -face.per_unit * (dot(t, step) - along * t_view);
         const float b_turn = -face.per_unit * (dot(b, step) - along * b_view);
         const float n_turn = -face.per_unit * (dot(n, step) - along * n_view);
         float of_t = per_length * (share1 * t_normal1 + share2 * t_normal2);
         float of_b = per_length * (share1 * b_normal1 + share2 * b_normal2);
-        // A normal that was turned to the viewer keeps its angle with the view.
+        // A normal that was rotated towards the viewer has a constant angle with the view direction.
         const float of_cosine = clamped * (of_t * t_view + of_b * b_view + n_turn);
         of_t -= of_cosine * t_view;
         of_b -= of_cosine * b_view;
@@ -139,7 +145,8 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
     }
 }
 
-// Footprints of the rays from begin to end, of filters of a deviation in pixels.
+// Compute the footprints of the rays from `begin` to `end`, for a pixel filter with the standard deviation `deviation`
+// [pixels].
 template <int BATCH, class Camera, class Surface, class Pixels, class ScatteringVectors, class Footprints>
 WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surface, const Pixels& pixels,
     const ScatteringVectors& scattering_vectors, float deviation, int begin, int end, FootprintLimits limits,

@@ -1,4 +1,4 @@
-// Scattering vectors, directions to the light and gains of pixels, and what of them is summed up.
+// Scattering vectors, directions to the light and gains of pixels, and sums over several samples of these.
 
 #pragma once
 
@@ -7,7 +7,8 @@
 
 namespace warpdiff {
 
-// Where a pixel's sums begin: from nothing, or with what was summed before.
+// Sums per pixel over several samples: XYZ, coverage and illumination. A new sum starts from 0; otherwise values are
+// added to the previous sums.
 struct SumsOfPixels {
     float* xyz;
     double* coverage;
@@ -23,12 +24,12 @@ struct SumsOfPixels {
     }
 };
 
-// Where light comes from, in homogeneous coordinates: a direction, of like strength everywhere, or a place.
+// Position of a light in homogeneous coordinates. The fourth coordinate is 0 for a direction and 1 for a point.
 struct LightPlace {
     double place[4];
 
-    // The vector from a point to the light, not of unit length, and what of the strength is left there: no light comes
-    // nearer than a ten-thousandth of the mesh's radius.
+    // Compute the vector from a point to the light, not normalised. Return the relative irradiance: 1 for a direction,
+    // and the inverse square of the distance for a point light. Distances count as at least 1e-4 radii of the mesh.
     WARPDIFF_INLINE double from(const float* origin, double* towards) const
     {
         for (int c = 0; c < 3; ++c) towards[c] = place[c] - place[3] * origin[c];
@@ -36,12 +37,13 @@ struct LightPlace {
     }
 };
 
-// Frames and views of N pixels; where they meet nothing, and behind the last one, whatever is there.
+// Shading frames, view directions and light directions of N pixels. Entries of pixels that do not hit the mesh, and
+// after the last pixel, are arbitrary.
 template <int N>
 struct ScatteringBatch {
-    Batch<N> frame[3][3], to_view[3], origin[3]; // tangent, bitangent and normal, by axis; where light arrives
-    Batch<N> towards[4];                         // to the light, if each pixel has a direction of its own, and a weight
-    Batch<N, double> light[3], uvw[3];           // to the light, and the sum of both directions, in that frame
+    Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
+    Batch<N> towards[4];                         // direction to the light and weight, if each pixel has its own
+    Batch<N, double> light[3], uvw[3];           // in the frame: direction to the light, scattering vector
     Batch<N> gain;
 
     template <class Pixels>
@@ -63,8 +65,9 @@ struct ScatteringBatch {
     }
 };
 
-// The factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), with Schlick's reflectance over that at normal incidence and
-// 1 + ωi·ωr without cancellation; `beyond_normal` is 1/R(0) − 1.
+// Return the factor between ⟨|P|²⟩ and the reflectance distribution ρ (Single 2014, eq. 3.15), times Schlick's Fresnel
+// reflectance relative to normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed without
+// cancellation.
 WARPDIFF_INLINE double gain_of(
     double u, double v, double w, double cos_i, double cos_r, double beyond_normal, bool masking, bool per_cosine)
 {
@@ -76,7 +79,8 @@ WARPDIFF_INLINE double gain_of(
     return schlick * overlap * overlap * (mask < 1.0 ? mask : 1.0) / (w * w * cos_r * (per_cosine ? cos_i : 1.0));
 }
 
-// These functions process pixels side by side. Gains below the horizon are 0.
+// Compute the scattering vectors and gains of a batch of pixels. The gain is 0 where the light or the viewer is below
+// the horizon.
 template <int N, class Reflection>
 WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const Reflection& reflection, double scale,
     double horizon, ScatteringBatch<N>& batch)
@@ -84,7 +88,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
     for (int i = 0; i < N; ++i) {
-        // The frame comes from float32: unit lengths are restored, so that the mirror direction is met exactly.
+        // The shading frame is stored in float32. The directions to the light and to the viewer are normalised again,
+        // so that the mirror direction is exact.
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
@@ -98,7 +103,7 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
             to_light[axis] = towards[0] * x + towards[1] * y + towards[2] * z;
             to_view[axis] = view_x * x + view_y * y + view_z * z;
         }
-        // A light on the surface itself comes from nowhere.
+        // The added 1e-300 prevents a division by 0 for a light that lies on the surface.
         const double per_light = 1.0 / wp::sqrt(dot(to_light, to_light) + 1.0e-300);
         const double per_view = 1.0 / wp::sqrt(dot(to_view, to_view));
         for (int c = 0; c < 3; ++c) {
@@ -112,8 +117,9 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     }
 }
 
-// Scattering vectors of pixels from begin to end. All that meet the mesh have one, whether they are lit or not: those
-// next to them ask how (u, v) changes. `counted` is added to the coverage of those.
+// Compute the scattering vectors, light directions and gains of the pixels from `begin` to `end`. Each pixel that hits
+// the mesh gets a scattering vector, also in shadow, because neighbouring pixels use it to find the change of (u, v).
+// `counted` is added to the coverage of these pixels.
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,

@@ -1,4 +1,4 @@
-// A batch of pixels and of the faces that their rays hit, component by component.
+// Data of a batch of pixels and of the faces that their rays hit, one array per component.
 
 #pragma once
 
@@ -10,10 +10,11 @@ template <int N>
 struct PixelBatch {
     Batch<N, bool> met;
     Batch<N> position[3][3], normal[3][3], tangent[3][3]; // by corner and axis
-    Batch<N> share0, share1;                              // of the first two corners
+    Batch<N> share0, share1;                              // barycentric coordinates of the first two corners
     Batch<N> to_view[3];
 
-    // Pixels from `from` on; where nothing is met, and behind the last one, what any face has, with zeros.
+    // Load the `count` pixels from the index `from` on. Pixels that hit nothing, and entries after the last pixel, get
+    // the corners of an arbitrary face and otherwise zeros.
     template <class Surface, class Pixels>
     WARPDIFF_INLINE void load(const Surface& surface, const Pixels& pixels, int from, int count)
     {

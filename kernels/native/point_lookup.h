@@ -9,18 +9,18 @@
 
 namespace warpdiff {
 
-// N points: where they lie in the table, and the rows that they take.
+// Positions of N points in the colour table, and the rows that their colours require.
 template <int N>
 struct Points {
     Batch<N> u = {}, v = {}, w = {};
-    Batch<N> turns, place; // angle and place among the rings
+    Batch<N> turns, place; // angle [turns] and position among the rings [rings]
     AtW<N> at_w;
-    Batch<N, const float*> first_row; // of the first of three rings, on the first of three azimuths
-    Batch<N> aside;                   // from the middle one of these [azimuths]
+    Batch<N, const float*> first_row; // row of the first of three rings on the first of three azimuths
+    Batch<N> aside;                   // distance from the middle azimuth [azimuths]
     Batch<N, int> first_ring, octave;
 };
 
-// Places of all N, which the compiler finds side by side.
+// Compute the positions of all N points in the table. The loop has a fixed length, so that compilers vectorise it.
 template <int N, class Table>
 WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 {
@@ -35,7 +35,8 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// The row of a ring of one octave on the first of the three azimuths around an angle, and how far the middle one is.
+// Return the table row of a ring on the first of the three azimuths around an angle. `aside` receives the distance of
+// the angle from the middle azimuth, in azimuths.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -46,7 +47,7 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Find a point's rows, and ask for them unless nothing comes of it.
+// Compute the addresses of the table rows of a point. On the CPU, prefetch these rows if the point is illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {
@@ -62,7 +63,7 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
     }
 }
 
-// The sum of a point's nine rows.
+// Return the weighted sum of a point's nine rows: three rings on three azimuths.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {
@@ -77,7 +78,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
-            // The next octave has azimuths of its own.
+            // The ring lies in the next octave of the table, which has a different number of azimuths.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);
@@ -92,10 +93,10 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
     return sum;
 }
 
-// Add the XYZ of scattering vectors from begin to end, at most BATCH, times their gains.
+// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by their gains.
 //
-// What the next ones read is asked for AHEAD of their turn: of too many, rows that lie a page apart drive each other
-// out of the first cache.
+// Rows are prefetched AHEAD directions before their use. Prefetching more would evict rows from the first-level cache,
+// because rows that are a page apart share cache sets.
 template <int W_BASIS_SIZE, int BATCH, int AHEAD, class Table, class ScatteringVectors, class Gains, class Colours>
 WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors& scattering_vectors, const Gains& gains,
     int begin, int end, Colours& xyz_out)

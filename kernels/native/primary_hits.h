@@ -1,4 +1,4 @@
-// Where rays meet the faces that are known to be nearest.
+// Intersections of camera rays with faces that are already known to be the nearest.
 
 #pragma once
 
@@ -7,7 +7,7 @@
 
 namespace warpdiff {
 
-// Rays side by side that meet a face: their numbers, faces, and places in the picture.
+// A batch of rays that hit a face: indices of rays and faces, and positions in the picture [pixels].
 template <int N>
 struct KnownHits {
     int count = 0;
@@ -15,7 +15,7 @@ struct KnownHits {
     Batch<N, double> right = {}, down = {};
 };
 
-// The corners of faces, and what is found of rays.
+// Corners of the faces of a batch, and the results: direction to the viewer and barycentric coordinates.
 template <int N>
 struct Intersections {
     Batch<N> corner[3][3], to_view[3], share[2];
@@ -33,8 +33,8 @@ WARPDIFF_INLINE void load_corners(const Surface& surface, const KnownHits<N>& hi
     }
 }
 
-// Moeller and Trumbore's shares of the first two corners, within the face, and directions to the viewer; in float64, as
-// the eye may be thousands of radii away.
+// Compute the barycentric coordinates of hits by the method of Möller and Trumbore, clamped to the face, and the
+// directions to the viewer. The computation uses float64, because the eye may be thousands of mesh radii away.
 template <int N, class Camera>
 WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, Intersections<N>& intersections)
 {
@@ -68,7 +68,7 @@ WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, I
     }
 }
 
-// Find what a batch of rays meets, and empty it.
+// Store the hits of a batch of rays, and empty the batch.
 template <int N, class Camera, class Surface, class Pixels>
 WARPDIFF_INLINE void put_hits(const Camera& camera, const Surface& surface, const Pixels& pixels, KnownHits<N>& hits)
 {
@@ -85,7 +85,8 @@ WARPDIFF_INLINE void put_hits(const Camera& camera, const Surface& surface, cons
     hits.count = 0;
 }
 
-// Intersect the rays of pixels or cells from `begin` to `end` with the face that each one covers; UNSEEN is no face.
+// Intersect the rays of pixels or subpixel cells from `begin` to `end` with the nearest face of each. UNSEEN marks rays
+// without a face.
 template <int BATCH, unsigned long long UNSEEN, class Camera, class Surface, class Sampling, class Pixels>
 WARPDIFF_INLINE void intersect_known_faces(
     const Camera& camera, const Surface& surface, const Sampling& sampling, const Pixels& pixels, int begin, int end)
@@ -99,7 +100,7 @@ WARPDIFF_INLINE void intersect_known_faces(
     KnownHits<batch_of(BATCH)> hits;
     for (int ray = begin; ray < end;) {
         const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
-        // The rest of a row, or of a tile.
+        // Number of rays up to the end of the picture row, or of the pixel's cells.
         int count = of_tiles ? of_tile - ray % of_tile : width - column;
         count = count < end - ray ? count : end - ray;
         for (int k = 0; k < count; ++k) {

@@ -1,4 +1,4 @@
-// The quadratic B-spline between equally spaced nodes.
+// Quadratic B-spline on equally spaced samples.
 
 #pragma once
 
@@ -6,10 +6,11 @@
 
 namespace warpdiff {
 
-// Pole of the recursive filter that turns values into the coefficients of the spline through them: 2√2 − 3.
+// Pole of the recursive filter that converts samples to coefficients of the spline through them. Derived: 2√2 − 3.
 constexpr float SPLINE_POLE = -0.171572875f;
 
-// Weights of three neighbours, a place away from the middle one.
+// Compute the spline weights of three neighbouring coefficients, for a point at a distance `away` from the middle one,
+// in sample spacings.
 WARPDIFF_INLINE void quadratic_spline(float away, float* weights)
 {
     weights[0] = 0.5f * (0.5f - away) * (0.5f - away);

@@ -1,5 +1,6 @@
-// The first face that each camera ray hits. Faces are projected side by side. Then each face visits the pixels of its
-// rows one by one, or the cells of subdivided pixels side by side. Only the CPU uses this; a GPU traces rays.
+// Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face then tests the
+// rays of the pixels that it may cover, or the cells of subdivided pixels in batches. Only the CPU uses this file; a
+// GPU traces rays through a hierarchy.
 
 #pragma once
 
@@ -18,11 +19,12 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 #else
 
-// Products of corners on such a grid are exact in a picture, so that faces leave no gap where they meet.
+// Number of grid steps per pixel for the projected corners. Derived: products of grid coordinates are then exact in
+// float64, so that adjacent faces leave no gap.
 constexpr double PER_PIXEL = 1 << 14;
-// Distance of the near plane from the eye [radii of the mesh]; faces are clipped there.
+// Distance of the near plane from the eye [radii of the mesh]. Faces are clipped at the near plane.
 constexpr double NEAR_PLANE = 1.0e-9;
-// Numbers of faces and of cells per batch (limits: SIMD lanes and registers).
+// Number of faces and number of cells per batch (limits: SIMD lanes and registers).
 constexpr int FACES = 16, CELLS = 8;
 
 WARPDIFF_INLINE double lesser(double a, double b)
@@ -35,23 +37,24 @@ WARPDIFF_INLINE double greater(double a, double b)
     return a > b ? a : b;
 }
 
-// A picture, where its rays lie, and what they have met.
+// A picture with the positions of its rays and the nearest face of each ray.
 template <int MOST_CELLS>
 struct Raster {
     const double* axes;
     bool orthographic;
     int width, height;
     double per_width, per_height;
-    // Distances begin before the sphere around the mesh: a float32 of those from afar would tell no faces apart.
+    // Distance from the eye to the sphere around the mesh. Stored distances start there, because float32 distances from
+    // a remote eye could not distinguish faces.
     double before;
-    const double* offsets; // of each pixel's ray from the centre; null if all lie there
-    // Cells: a bit per pixel in words of 64 says which pixels are subdivided. Then come their places, and the places of
-    // cells about a centre.
-    const unsigned long long* marks; // null for one ray a pixel
+    const double* offsets; // offset of each pixel's ray from the pixel centre; null: no offsets
+    // Subdivided pixels: one bit per pixel, in words of 64, marks them. `ranks` has the index of each subdivided pixel.
+    // `aside` and `below` are the offsets of cells from the pixel centre [pixels].
+    const unsigned long long* marks; // null: one ray per pixel
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double max_cell_offset, max_offset; // how far cells, or any rays, lie from the centre along an axis
+    double max_cell_offset, max_offset; // largest offset of cells, and of any ray, along an axis
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>
@@ -81,17 +84,20 @@ struct Raster {
     }
 };
 
-// Faces, or what the near plane leaves of them, by corner or by the edge across from it.
+// A batch of faces after clipping at the near plane. Arrays of three are indexed by the corner, or by the edge opposite
+// to that corner.
 struct Triangles {
-    // In the picture, and along the view; whether the edge runs from the vertex of the smaller number to the larger.
+    // Positions of corners in the picture and depths along the view. `rises` states whether the edge runs from the
+    // vertex with the smaller index to the one with the larger index.
     double column[3][FACES], row[3][FACES], depth[3][FACES];
     bool rises[3][FACES];
     int face[FACES], count = 0;
-    // Pixels that they may reach, and edges: their beginnings, extents, signs, and columns a row.
+    // Range of pixels that each triangle may cover, and its edges: start, extent, sign, and columns per row.
     double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
     double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
 
-    // Twice the areas between a place and the edges of triangle i, positive inside.
+    // Compute twice the areas of the triangles between a point (x, y) and the three edges of triangle i. All three are
+    // positive inside the triangle.
     WARPDIFF_INLINE void areas(int i, double x, double y, double* inside) const
     {
         for (int k = 0; k < 3; ++k)
@@ -99,7 +105,7 @@ struct Triangles {
     }
 };
 
-// Corners on the grid, boxes, and edges, of all triangles side by side.
+// Round the corners of all triangles to the grid, and compute their bounding boxes and edges.
 template <class Picture>
 WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
 {
@@ -118,7 +124,7 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
         triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
     }
-    // Two faces find the same value for an edge, with opposite signs.
+    // Adjacent faces compute the same value for their common edge, with opposite signs.
     for (int k = 0; k < 3; ++k) {
         const int one = (k + 1) % 3, other = (k + 2) % 3;
         for (int i = 0; i < FACES; ++i) {
@@ -135,7 +141,8 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
     }
 }
 
-// Keep triangle i for a ray if it is nearer than what is known: the distance's bits, and the face below them.
+// Store triangle i as the hit of a ray if it is nearer than the stored one. The stored word has the bits of the
+// distance in its upper half and the face index in its lower half.
 template <class Picture>
 WARPDIFF_INLINE void keep_nearest(
     const Picture& picture, const Triangles& triangles, int i, double inside0, double inside1, double inside2, int ray)
@@ -151,7 +158,7 @@ WARPDIFF_INLINE void keep_nearest(
     keep_smallest(picture.nearest + ray, (unsigned long long)bits << 32 | (unsigned int)triangles.face[i]);
 }
 
-// One ray of each pixel of a row, from `left` to before `end`.
+// Test triangle i against one ray per pixel, for the pixels of a row from `left` to `end` (excluded).
 template <class Picture>
 WARPDIFF_INLINE void visit_pixels(const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
 {
@@ -166,7 +173,7 @@ WARPDIFF_INLINE void visit_pixels(const Picture& picture, const Triangles& trian
     }
 }
 
-// The cells of one pixel.
+// Test triangle i against the cells of one subdivided pixel.
 template <class Picture>
 WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triangles, int i, int row, int column)
 {
@@ -201,7 +208,7 @@ WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triang
     }
 }
 
-// Pixels of a row that are split, from `left` to before `end`.
+// Test triangle i against the cells of the subdivided pixels of a row, from `left` to `end` (excluded).
 template <class Picture>
 WARPDIFF_INLINE void visit_split_pixels(
     const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
@@ -216,7 +223,7 @@ WARPDIFF_INLINE void visit_split_pixels(
     }
 }
 
-// Visit the rays of all pixels that triangles may cover.
+// Test all triangles of a batch against the rays of the pixels that they may cover.
 template <class Picture>
 inline void visit_rays(const Picture& picture, Triangles& triangles)
 {
@@ -225,7 +232,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
         if (!(triangles.low_row[i] <= triangles.high_row[i] && triangles.low_column[i] <= triangles.high_column[i]))
             continue;
         for (int row = (int)triangles.low_row[i]; row <= (int)triangles.high_row[i]; ++row) {
-            // The part of the row that may count, with a margin of one pixel.
+            // Range of columns of the row that the triangle may cover, with a margin of one pixel.
             double least = triangles.low_column[i], largest = triangles.high_column[i];
             for (int k = 0; k < 3; ++k) {
                 const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];
@@ -243,7 +250,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
     }
 }
 
-// Put a corner, given across, up and along the view, into the picture.
+// Project a corner from view coordinates (across, up, depth) into the picture.
 template <class Picture>
 WARPDIFF_INLINE void project_corner(
     const Picture& picture, double across, double up, double depth, Triangles& triangles, int corner, int i)
@@ -254,8 +261,8 @@ WARPDIFF_INLINE void project_corner(
     triangles.depth[corner][i] = depth;
 }
 
-// A face cut off at the near plane: up to four corners, across, up and along the view, and whether the edge from each
-// to the next one runs from the vertex of the smaller number to the larger.
+// A face clipped at the near plane: up to four corners in view coordinates (across, up, depth). `rises` states for the
+// edge after each corner whether it runs from the vertex with the smaller index to the one with the larger index.
 struct ClippedFace {
     double corner[4][3];
     bool rises[4];
@@ -283,7 +290,8 @@ WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* posit
             clipped.rises[clipped.count++] = rises;
         }
         if ((in_view[k][2] >= NEAR_PLANE) == (in_view[next][2] >= NEAR_PLANE)) continue;
-        // From the vertex of the smaller number on, for both faces.
+        // The edge is interpolated from the vertex with the smaller index, so that both adjacent faces get the same
+        // point.
         const int a = rises ? k : next, b = rises ? next : k;
         const double t = (NEAR_PLANE - in_view[a][2]) / (in_view[b][2] - in_view[a][2]);
         for (int c = 0; c < 2; ++c)
@@ -294,7 +302,8 @@ WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* posit
     return clipped;
 }
 
-// A triangle or two of what is left of a face; their edges, but for the cut and where the two meet, are the face's.
+// Add the one or two triangles of a clipped face to the batch. Their edges are those of the face, except for the cut
+// and for the diagonal between the two triangles.
 template <class Picture>
 WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clipped, int face, Triangles& triangles)
 {
@@ -304,7 +313,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // Across from each of these: the edge between the other two, that to the first one, that from it.
+        // For the edges opposite to the triangle's three corners, `rises` states whether the edge runs from the smaller
+        // vertex index to the larger one. The diagonal between two triangles has opposite values in them.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;
@@ -316,7 +326,7 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
     }
 }
 
-// Project faces from `from` on side by side; returns whether any of them crosses the near plane.
+// Project `count` faces from the index `from` on. Return whether any of them crosses the near plane.
 template <class Picture>
 WARPDIFF_INLINE bool project_faces(
     const Picture& picture, const float* positions, const int* faces, int from, int count, Triangles& triangles)
@@ -348,7 +358,7 @@ WARPDIFF_INLINE bool project_faces(
     return any;
 }
 
-// Rasterize faces from begin to end into the nearest face of each ray.
+// Rasterize the faces from `begin` to `end`, and store the nearest face of each ray.
 template <int MOST_CELLS, class Camera, class Surface, class Sampling, class Cells, class Nearest>
 WARPDIFF_INLINE void rasterize_faces(const Camera& camera, const Surface& surface, const Sampling& sampling,
     const Cells& cells, double max_offset, int begin, int end, Nearest& nearest_out)

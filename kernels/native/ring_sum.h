@@ -1,9 +1,8 @@
-// Mean colours over footprints that are wide compared with their distance from the mirror direction, or reach around
-// it.
+// Mean colours over footprints that are wide compared with their distance from the mirror direction.
 //
-// Such a footprint is no range of angles and ratios. Its rows are weighed by the Gaussian of (u, v) itself, at the
-// rings and azimuth samples that it covers. Rows of a mip level are means over arcs of the
-// ring, so that the Gaussian along the ring is made narrower by as much.
+// Such a footprint is not a small range of angles and radii. Each row at the rings and azimuths within the footprint
+// has the Gaussian of (u, v) as its weight. Rows of a mip level are means over arcs of a ring. The Gaussian is made
+// narrower along the ring to compensate for that blur.
 
 #pragma once
 
@@ -17,31 +16,34 @@ constexpr int ARC = batch_of(8);
 // Extent of the summed Gaussian [standard deviations]: outwards, and towards the mirror direction, where surfaces are
 // brightest. Limits: a larger extent sums more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Largest distance of the summed rings, in ln |(u, v)|, where colours are smooth, and in standard deviations along
-// (u, v). It doubles within `WITHIN` narrow standard deviations. With twice the distances, sums over narrow
-// Gaussians are inaccurate.
+// Largest spacing of the summed rings: `RINGS_APART` in ln |(u, v)|, limited by the smoothness of colours, and
+// `RINGS_PER_DEVIATION` in standard deviations along (u, v). The spacing doubles within `WITHIN` narrow standard
+// deviations of the mirror direction. With twice the spacing, sums over narrow Gaussians are inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Innermost ring, in the narrow deviations or in deviations of the narrowest lobe, whichever is less, and the least
-// deviation in those of that lobe.
+// Radius of the innermost ring: the smaller of `INNERMOST` narrow standard deviations and `INNERMOST_OF_LOBE` standard
+// deviations of the narrowest lobe. `NARROWEST` is the least standard deviation of a footprint, relative to that lobe.
+// Limits: lower values sum more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Largest part of the variance along a ring that a level has, and the distance of its azimuths in standard deviations.
+// `MOST_BLUR2` is the largest share of the variance along a ring that the blur of a mip level may have.
+// `AZIMUTHS_APART` is the largest spacing of the level's azimuths, in standard deviations along the ring.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
-// A Gaussian of (u, v): its middle, and the inverse of its covariance.
+// A Gaussian of (u, v): its mean and the inverse of its covariance.
 struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// A level for rings of one octave: where its rows are, how far its azimuths are apart [rad], the variance of what lies
-// on them, less that of their spline [rad²], whose coefficients are sharper than its values by as much, and from which
-// variance along the ring on the next one serves.
+// Mip level for the rings of one octave. `spacing` is the distance of its azimuths [rad]. `blur2` is the variance of
+// its rows minus the variance of the spline between azimuths [rad²]. The next level is used where the variance along
+// the ring is at least `until`.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
 };
 
-// The weight of a Gaussian at a place (x, y) of the unit circle times the radius, once it is narrower by a variance
-// along the ring, if it is within so many deviations. There it is one whose exponent has the same slope and curvature.
+// Return the weight of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. (x, y) is the point's
+// direction. The Gaussian is narrower along the ring by the variance `blur2`. It is approximated by one whose exponent
+// has the same slope and curvature at the point.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
@@ -65,8 +67,8 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// The widest level of one octave that serves a variance along the ring. In the next octave inwards levels may be twice
-// as wide, and the one before serves.
+// Replace `widest` by the widest mip level of one octave for a variance along the ring. Levels may be twice as wide in
+// the next octave inwards, so that the search starts one level below.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -83,7 +85,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows of a ring from one azimuth up to another, which is excluded: arcs may touch.
+// Add the rows of a ring from the azimuth `first` to the azimuth `end`. The last azimuth is excluded, because arcs may
+// touch.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -107,25 +110,28 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// The sum of rows over a Gaussian around (u, v), from the outermost ring inwards.
+// Return the sum of rows over a Gaussian around (u, v), from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // Coefficients of the spline between rings have a quarter of their distance, squared, less of variance than values.
+    // The quadratic spline between rings blurs its coefficients by a variance of a quarter of the squared ring spacing.
+    // This variance is added to the covariance of the Gaussian.
     const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
     const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
     const float narrow2 = larger((a * d - b * b) / widest2, least * least);
     const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
     const float turns = log_polar(u, v, table.least_uv).turns;
-    // The direction across the axis of a streak, and how far away that axis is.
+    // Direction perpendicular to the long axis of the Gaussian, and the distance of that axis from the mirror
+    // direction.
     const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
     float x, y;
     on_circle(across, x, y);
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Rings lie on the rings of the table, closer than the Gaussian is wide along (u, v).
+    // The summed rings are a subset of the table's rings. Their spacing is smaller than the width of the Gaussian along
+    // (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -138,10 +144,10 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float nearer = wp::exp(-(float)apart / table.rings_per_log);
     WeighedRows<WIDTH> sum;
     sum.clear();
-    // No octave is cached yet.
+    // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // Further in the Gaussian takes up more of a ring.
+        // Nearer to the mirror direction, the Gaussian covers a larger part of each ring.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
@@ -149,7 +155,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const float* const rows = numbers<const float>(table.rows)
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
-        // The arc within reach around (u, v), or for a streak those within reach of its axis, if they are shorter.
+        // The summed arc of the ring lies around (u, v). For a long narrow Gaussian, two arcs near its long axis are
+        // used instead if they are shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -160,7 +167,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // Rounded, so that arcs that touch have each azimuth once.
+        // The ends of arcs are rounded, so that two arcs that touch include each azimuth once.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

@@ -1,4 +1,4 @@
-// Shading frames of pixels, and where their shadow rays start.
+// Shading frames of pixels, and start points of their shadow rays.
 
 #pragma once
 
@@ -9,12 +9,12 @@
 namespace warpdiff {
 
 struct FrameLimits {
-    float least_cosine;   // between the normal and the view
-    float least_tangent2; // square of the tangent's part at right angles to the normal
-    float lift;           // of shadow rays above the surface
+    float least_cosine;   // least cosine between the normal and the view direction
+    float least_tangent2; // least square of the tangent's component perpendicular to the normal
+    float lift;           // height of shadow rays' start points above the surface [radii]
 };
 
-// Frames of N pixels by axis, and which of them are left to be made one by one: their normals have to be turned to the
+// Shading frames of N pixels by axis. Special pixels are computed separately: their normals must be rotated towards the
 // viewer, or their tangents vanish.
 template <int N>
 struct ShadingFrames {
@@ -22,9 +22,9 @@ struct ShadingFrames {
     Batch<N, bool> is_special;
 };
 
-// Where a shadow ray starts (Hanika 2021, "Hacking the shadow terminator"): from the smooth surface that the normals
-// stand for, or the facets would shadow each other where the light grazes it: from what is lifted to the tangent planes
-// of the corners where it lies below, which is where the surface is convex.
+// Compute the start point of a shadow ray (Hanika 2021, "Hacking the shadow terminator"). The point is lifted to the
+// tangent planes of the corners where it lies below them, which is where the smooth surface is convex. Without this,
+// facets would shadow each other at grazing incidence.
 template <int N>
 WARPDIFF_INLINE void lift_to_tangent_planes(
     const PixelBatch<N>& pixels, int i, const float* share, const float* point, float side, bool smooth, float* origin)
@@ -40,7 +40,8 @@ WARPDIFF_INLINE void lift_to_tangent_planes(
     }
 }
 
-// The part of a pixel's tangent at right angles to its normal, of unit length; returns the square of its own.
+// Compute the normalised component of a pixel's tangent perpendicular to its normal. Return the squared length of that
+// component before normalisation.
 template <int N>
 WARPDIFF_INLINE float project_tangent(
     const PixelBatch<N>& pixels, int i, const float* share, const float* normal, float* tangent)
@@ -53,7 +54,8 @@ WARPDIFF_INLINE float project_tangent(
     }
     for (int c = 0; c < 3; ++c) tangent[c] -= along * normal[c];
     const float left2 = dot(tangent, tangent);
-    // Projected twice: a short remainder of two nearly parallel vectors carries their rounding.
+    // The projection is repeated, because a short difference of two nearly parallel vectors contains their rounding
+    // errors.
     float again = 0.0f, tangent2 = 0.0f;
     for (int c = 0; c < 3; ++c) again += tangent[c] * normal[c];
     for (int c = 0; c < 3; ++c) {
@@ -65,7 +67,7 @@ WARPDIFF_INLINE float project_tangent(
     return left2;
 }
 
-// The frames of a batch of pixels; `handedness` is that of each one's face.
+// Compute the shading frames of a batch of pixels. `handedness` is +1 or −1 for each pixel's face.
 template <int N>
 WARPDIFF_INLINE void find_frames(
     const PixelBatch<N>& pixels, const Batch<N>& handedness, bool smooth, FrameLimits limits, ShadingFrames<N>& frames)
@@ -106,7 +108,7 @@ WARPDIFF_INLINE void find_frames(
     }
 }
 
-// Vectors of pixels; zeros between those that meet the mesh, as to skip these takes longer.
+// Store one vector per pixel, and zeros for pixels that do not hit the mesh. Skipping these pixels would be slower.
 template <int N>
 WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {
@@ -114,8 +116,8 @@ WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const
         for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? vectors[c][i] : 0.0f;
 }
 
-// Frames of pixels from begin to end. Returns how many of them are left to be made one by one, whose `hit` is then
-// SPECIAL.
+// Compute the shading frames of the pixels from `begin` to `end`. Return the number of special pixels, which are marked
+// by `hit` = SPECIAL and computed separately.
 template <int BATCH, int SPECIAL, class Surface, class Pixels>
 WARPDIFF_INLINE int make_shading_frames(
     const Surface& surface, const Pixels& pixels, int begin, int end, FrameLimits limits)

@@ -1,8 +1,7 @@
-// Vectors of floats, rows of them, and access to Warp's arrays.
+// SIMD vectors of floats, rows of these vectors, and access to Warp's arrays.
 //
-// A GPU takes one element at a time, so that batches and vectors are of one; the CPU's compiler makes vectors of loops
-// over whole batches. Sums of rows are written with the compiler's own vectors, as it makes none of plain loops over
-// registers.
+// On a GPU, batches and vectors have one element. On the CPU, compilers vectorise loops over whole batches. Sums of
+// rows use the compiler's vector types explicitly, because compilers do not vectorise plain loops over registers.
 
 #pragma once
 
@@ -22,7 +21,7 @@ constexpr int batch_of(int on_cpu)
     return ON_GPU ? 1 : on_cpu;
 }
 
-// Numbers of N elements side by side. Of one element the index is known to be 0, so that it stays in a register.
+// A batch of N values. With N = 1 the index is the constant 0, so that the value can remain in a register.
 template <int N, class Number = float>
 struct Batch {
     Number at[N];
@@ -38,7 +37,7 @@ struct Batch {
     }
 };
 
-// FloatVector in a register, which need not lie at multiples of their size in memory.
+// Vector of LANES floats. It needs no alignment in memory beyond that of a float.
 template <int LANES>
 struct FloatVector;
 template <>
@@ -56,7 +55,7 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, a multiple of four, in vectors as long as that allows.
+// A row of WIDTH floats, stored in the longest vectors that divide it. WIDTH is a multiple of four on the CPU.
 template <int WIDTH>
 struct Row {
     static constexpr int LANES = ON_GPU ? 1 : WIDTH % 8 == 0 ? 8 : 4;
@@ -82,7 +81,7 @@ struct Row {
     }
 };
 
-// A sum of rows so far, and of their weights.
+// A weighted sum of rows, and the sum of the weights.
 template <int WIDTH>
 struct WeighedRows {
     Row<WIDTH> rows;
@@ -95,7 +94,7 @@ struct WeighedRows {
     }
 };
 
-// The numbers of a Warp array, whose elements may be vectors of them.
+// Return a pointer to the numbers of a Warp array, whose elements may be vectors of numbers.
 template <class Number, class Array>
 WARPDIFF_INLINE Number* numbers(const Array& array)
 {
@@ -108,14 +107,14 @@ WARPDIFF_INLINE bool is_empty(const Array& array)
     return array.shape[0] == 0;
 }
 
-// An index modulo the length of a periodic axis.
+// Return an index modulo the length of a periodic axis. The result is never negative.
 WARPDIFF_INLINE int cyclic(int index, int count)
 {
     const int left = index % count;
     return left < 0 ? left + count : left;
 }
 
-// Prefetch what is read soon. A GPU runs other threads instead while one waits.
+// Prefetch data that is read soon. Has no effect on a GPU, which runs other threads while one waits for memory.
 WARPDIFF_INLINE void prefetch(const float* at)
 {
 #if !defined(__CUDA_ARCH__)

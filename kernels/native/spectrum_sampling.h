@@ -1,5 +1,5 @@
-// The power spectrum along azimuths of the frequency plane, each value the integral under a quadratic B-spline in ln t
-// around a ring.
+// Sampling of the power spectrum along azimuths of the frequency plane. Each value is the integral of the spectrum
+// under a quadratic B-spline in ln t around a ring, where t is the radius.
 
 #pragma once
 
@@ -9,14 +9,14 @@
 
 namespace warpdiff {
 
-// Number of Gaussian factors per batch, and of rows of neighbours whose reach is computed beforehand.
+// Number of Gaussian factors per batch, and number of rows of coefficients whose extent is computed in advance.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
-// How far around a place coefficients count: on each row as far as from anywhere nearest to the middle one, so that no
-// branch depends on the place.
+// Range of coefficients that contribute to a point of the frequency plane. The range of each row is the largest for any
+// point nearest to the same coefficient, so that no branch depends on the exact position.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // The coefficient that is excluded, or a place that none has.
+    // Indices of the excluded coefficient; −1 if none is excluded.
     int excluded_y, excluded_x;
 
     template <class Table>
@@ -34,7 +34,8 @@ struct Neighbours {
     }
 };
 
-// exp(−scale · x²) at whole distances from `from` on, less `beside`.
+// Compute exp(−scale · x²) at TAPS distances x. The distances are consecutive integers from `from` on, minus a common
+// fraction.
 WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
 {
     for (int i = 0; i < TAPS; ++i) {
@@ -43,8 +44,8 @@ WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* t
     }
 }
 
-// The sum over a row of neighbours, from `begin` to before `end` of those that taps are given for. A row that lies
-// inside of the table need not be looked up index by index.
+// Return the weighted sum of the coefficients of a row from tap `begin` to tap `end` (excluded). Indices are wrapped
+// only where the row crosses the edge of the table.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     const Table& table, const Neighbours& around, int y, int column, const float* taps, int begin, int end)
@@ -67,11 +68,12 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     return sum;
 }
 
-// Coefficients around a place, weighed by the Gaussian of the coherence.
+// Return the sum of the coefficients around a point of the frequency plane, with the Gaussian of the coherence as
+// weights.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // Places reach hundreds of coefficients.
+    // The integer part is subtracted in float64, because positions extend to hundreds of coefficients.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;
@@ -98,8 +100,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Powers, from sums of amplitudes, whose real parts come before the imaginary ones: at WIDTH values of κ, by a basis
-// for each term.
+// Return the power at WIDTH values of κ from summed amplitudes. The real parts of the amplitudes precede the imaginary
+// parts. `basis` has WIDTH factors for each term.
 template <int TERMS, int WIDTH>
 WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {
@@ -114,7 +116,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Contributions of samples to the splines of three rings in a row. They stay in registers from ring to ring.
+// Integrals of the spectrum under the splines of three consecutive rings. They remain in registers while the sampling
+// proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -126,7 +129,7 @@ struct SplineSums {
         behind.clear();
     }
 
-    // A sample `f` of a ring's distance from the middle one.
+    // Add a sample of the spectrum to the three integrals. The sample lies `f` rings from the middle ring.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
@@ -152,11 +155,12 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
         ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// The integrals along an azimuth in this direction, whose sine and cosine count coefficients, at `rings` rings from the
-// row `begin` on: `divisions` samples from ring to ring, the first one at t, each `ratio` times as far out as the one
-// before, up to the `highest`.
+// Compute the integrals along one azimuth at `rings` rings, and store them from the row `begin` on. `sine` and `cosine`
+// give the azimuth's direction in units of coefficients. There are `divisions` samples from ring to ring. The first
+// sample is at the radius t, and each sample has `ratio` times the radius of the previous one, up to `highest`.
 //
-// Rows are of TERMS powers; or of amplitudes (PARTS = 2), whose powers at WIDTH values of κ are what is integrated.
+// Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
+// values of κ before integration.
 template <int TERMS, int PARTS, int WIDTH, class Table, class Bases, class Values>
 WARPDIFF_INLINE void sample_azimuth(const Table& table, const Bases& bases, double sine, double cosine, int rings,
     double t, double ratio, int divisions, double highest, float scale, int excluded, int begin, Values& values_out)

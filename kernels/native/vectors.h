@@ -1,4 +1,4 @@
-// Vectors in space, as plain arrays, so that loops over batches of them become vectors of floats.
+// Operations on vectors in space. Vectors are plain arrays, so that loops over batches of them are vectorised.
 
 #pragma once
 
@@ -20,7 +20,7 @@ WARPDIFF_INLINE void cross(const Number* a, const Number* b, Number* result)
     result[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-// Whether any of some pixels meets the mesh.
+// Return whether any of `count` pixels hits the mesh.
 WARPDIFF_INLINE bool any_hit(const int* hit, int count)
 {
     int hits = 0;
