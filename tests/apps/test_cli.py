@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from conftest import slow, write_image
 

@@ -12,7 +12,7 @@ import sys
 import types
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from endurance import count
 from PIL import Image, ImageShow

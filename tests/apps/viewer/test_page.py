@@ -307,7 +307,7 @@ def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium,
 
 
 def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, waves, tmp_path):
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+    import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 
     radiance = np.full((8, 16, 3), 0.3, dtype=np.float32)
     radiance[:, 8:] = 0.6, 0.4, 0.3
