@@ -81,8 +81,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """Return XYZ of a sum of rows at w, clamped at 0 because projected colour curves have shallow negative lobes.
-        """
+        """Return XYZ of a sum of rows at w, at least 0: the projected colour curves have shallow negative lobes."""
         at_w = w_basis_at(table, w)
         result = wp.vec3f()
         for c in range(3):
@@ -95,8 +94,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def zeroth_order(
         table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, covariance: wp.mat22f, source2: wp.float32
     ) -> wp.vec3f:
-        """Return XYZ of the zeroth order averaged over a covariance of (u, v), as a sum of Gaussians over wavelengths.
-        """
+        """Return XYZ of the zeroth order over a covariance of (u, v), as a sum of Gaussians over wavelengths."""
         result = wp.vec3f()
         entries = table.zeroth_order.shape[0]
         if entries == 0:
