@@ -78,7 +78,7 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # Of the sufficient plans in this loop, the one with the smallest bandwidth has the least cost.
+        # The sufficient plan with the smallest bandwidth has the least cost, and the loop ends with it.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least

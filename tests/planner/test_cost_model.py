@@ -101,7 +101,7 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 
 
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
-    """The number of neighbours is the product over both axes of 2 · radius · length; an axis of one sample counts as 1."""
+    """The number of neighbours is the product of 2 · radius · length over both axes. One-sample axes count as 1."""
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
     radius = math.sqrt(-math.log(plan.least_weight)) / (2.0 * math.pi * plan.coherence.sigma_um)

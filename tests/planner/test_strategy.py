@@ -70,9 +70,7 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
-    """A search costs as much as 16,000 directions of its plan, and saves (``saving`` − 1) times the cost of each
-    direction.
-    """
+    """A search costs as much as 16,000 directions of its plan. Each direction then saves ``saving`` − 1 such costs."""
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
     count = 16_000.0 / (saving - 1.0)
