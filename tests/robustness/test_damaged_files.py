@@ -1,4 +1,4 @@
-"""Files of scans and of meshes, damaged at random: read, or refused with their path, and nothing else is opened."""
+"""Randomly damaged height-field and mesh files are read or refused by path, and no other files are opened."""
 
 import json
 import os
