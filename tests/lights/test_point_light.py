@@ -1,4 +1,4 @@
-"""Lights at a place: directions and falloff by pixel, footprints, and what stands beyond the light."""
+"""Point lights: direction and falloff per pixel, footprints, and shadow rays that end at the light."""
 
 import math
 
@@ -44,8 +44,8 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
         assert found.xyz[row, column] == pytest.approx(expected, rel=2e-3)
 
 
-def test_footprints_know_how_the_direction_to_the_light_changes(fingers):
-    """On a flat square that is seen from infinitely far away nothing else changes over a pixel."""
+def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
+    """On a flat square in an orthographic view, only the direction to the light changes within a pixel."""
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
     mean = wd.shade(square(), fingers, light, VIEW, refine=False, **OPTIONS)
@@ -64,12 +64,12 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
         assert image.xyz[1, 1, 1] == pytest.approx(seen, rel=1e-2)
-    # Pigment falls off alike.
+    # The pigment has the same falloff with distance.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
     )
-    # Two pictures whose pixels were refined differently would differ by that, too.
+    # Refinement is off, because two pictures could be refined differently.
     options = OPTIONS | {"refine": False}
     shown = [
         wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **(options | {"pigment": 100.0})).xyz[1, 1]
