@@ -28,8 +28,8 @@ def seen_from(towards):
 
 
 @pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
-def test_powers_of_all_bins_are_all_power(bin_um):
-    """By Parseval's theorem, as the orders of a pitch of 0.1 µm end at 5/µm."""
+def test_powers_of_all_bins_add_up_to_one(bin_um):
+    """The sum is 1 by Parseval's theorem: with a pitch of 0.1 µm the orders end at 5/µm."""
     powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
@@ -37,7 +37,7 @@ def test_powers_of_all_bins_are_all_power(bin_um):
 
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
-    """The furnace, over the views that a sphere shows: the factors are made without any sky."""
+    """The mirror is a sphere in a uniform environment (white furnace). The factors are computed without any sky."""
     off, heightfield = [], SURFACES["blazed"]()
     for energy in ("stam", "normalised"):
         image, radius = furnace_picture(heightfield, energy, tolerance=1e-1, size=20)
@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """Kernels apply them to directional lights, point lights and a ``Renderer``; NumPy applies them to directions."""
+    """Kernels apply the factors to all lights of pictures, and NumPy applies them to arrays of directions."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -92,7 +92,7 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
 
 
 def test_gentle_surfaces_keep_their_orders():
-    """Where one order has nearly all of the light, that it is sent back leaves factors free that make others wrong."""
+    """If one order has nearly all power, energy alone does not determine the factors. They must stay near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)
@@ -119,7 +119,7 @@ def test_heights_of_another_unit_are_refused_before_their_energy_is_summed(monke
             call(deep, (0, 0, 1), (0.1, 0, 1), *([[550.0]] if call is wd.brdf else []), energy="normalised")
 
 
-def test_masking_gives_way_to_normalised_energy():
+def test_masking_is_off_with_normalised_energy():
     heightfield, light, view = SURFACES["fingers"](), at(60.0, 0.0), at(70.0, 60.0)
     options = MIRROR | {"energy": "normalised"}
     np.testing.assert_array_equal(
