@@ -1,4 +1,4 @@
-"""The period of a blazed grating from where its first order is brightest."""
+"""The period of a blazed grating, computed from the wavelength at which its first order is brightest."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The LRU cache: what was used longest ago goes first, and threads get what came first."""
+"""LRU cache: the least recently used value is removed first, and concurrent threads get the first value made."""
 
 import threading
 
@@ -16,7 +16,7 @@ def test_the_least_recently_used_one_goes_first():
     assert len(cache) == 0
 
 
-def test_bytes_are_bounded_but_for_the_last_one():
+def test_bytes_are_limited_except_for_the_last_value():
     cache = LruCache(most_bytes=10.0, bytes_of=len)
     cache.put("a", "four")
     cache.put("b", "six..6")
@@ -28,8 +28,8 @@ def test_bytes_are_bounded_but_for_the_last_one():
     assert len(cache) == 1
 
 
-def test_a_key_stays_the_one_that_was_put():
-    """Another that was equal when it was looked up may change."""
+def test_a_lookup_does_not_replace_the_stored_key():
+    """An equal key used for a look-up may change later, so the cache must store the first key."""
     cache, first, equal = LruCache(2), Frozen(1), Frozen(1)
     cache.put(first, "value")
     assert cache.get(equal) == "value"
@@ -39,7 +39,7 @@ def test_a_key_stays_the_one_that_was_put():
 
 
 class Frozen:
-    """A key that is not, compared by its number."""
+    """A mutable key, contrary to its name, that is compared by its number."""
 
     def __init__(self, number):
         self.number = number

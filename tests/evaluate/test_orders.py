@@ -1,4 +1,4 @@
-"""Efficiencies of orders: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, bad input."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, and invalid arguments."""
 
 import math
 
@@ -28,7 +28,7 @@ def blazed(kappa, depth, order):
     return np.sinc(kappa * depth - order) ** 2
 
 
-# Finely sampled: what the steps of two profiles have beyond the samples falls with their square.
+# Height field, closed form and allowed error. Sampling errors of profiles with steps fall with the square of the count.
 PROFILES = {
     "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
     "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
@@ -37,7 +37,7 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_at_each(rng):
-    """A series with half of the terms in reserve, or for half the range of κ, has errors of the order of 1."""
+    """With too few terms, or a series for half of the range of κ, the coefficients have errors of about 1."""
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
     indices = rng.integers(-9, 9, (40, 2))
@@ -46,14 +46,14 @@ def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # Terms are few: twice as many as the argument would take twice the time.
+    # The number of terms must be close to the argument, because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
 def test_closed_forms(name, angle):
-    """The grating equation gives directions, κ and geometry; the profile's transform the rest."""
+    """The grating equation gives directions, κ and geometry; the profile's Fourier transform gives the power."""
     heightfield, closed, error = PROFILES[name]
     found = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
     sin_i, cos_i = math.sin(math.radians(angle)), math.cos(math.radians(angle))
@@ -66,7 +66,7 @@ def test_closed_forms(name, angle):
                 continue
             cos_r = math.sqrt(1.0 - sin_r**2)
             kappa = -(cos_i + cos_r) / (wavelength * 1e-3)
-            # The amplitude is the profile's component r = −m of e^{2πiκh}, ∫ e^{2πiκh} e^{+2πirx/d}.
+            # The amplitude of order m is the Fourier component r = −m of e^{2πiκh}: ∫ e^{2πiκh} e^{+2πirx/d} dx.
             power = closed(kappa, 0.3, m)
             geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
             assert found[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
@@ -76,8 +76,8 @@ def test_closed_forms(name, angle):
     assert np.count_nonzero(np.isfinite(found.to_view[..., 0])) == count
 
 
-def test_a_blaze_throws_its_light_where_its_facets_mirror():
-    """Facets that rise with x lean towards −x: light from above is reflected to −2α."""
+def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
+    """Facets that rise with x are tilted towards −x by α, so they reflect normal incidence to −2α."""
     wavelength = 0.5
     heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
     found = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
@@ -103,7 +103,7 @@ def test_two_dimensions_by_explicit_sums(rng):
 
 
 def test_an_order_is_the_integral_of_the_brdf():
-    """A window spreads an order over λ²/(4πσ²); at its centre the BRDF is the efficiency over that."""
+    """A window spreads an order over the solid angle λ²/(4πσ²). Its central BRDF is the efficiency divided by it."""
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
     found = wd.order_efficiencies(heightfield, light, 550.0)
     options = {"coherence": wd.Coherence(sigma_um=sigma), "tolerance": 1e-4}
@@ -122,7 +122,7 @@ def test_a_flat_surface_is_a_mirror(ior):
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """And not where they are short and the light grazes: the theory's, see the README's limits."""
+    """For short periods and grazing light, scalar theory itself violates conservation of energy."""
 
     def total(period, angle):
         given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0
@@ -133,8 +133,8 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
     assert total(0.6, 75.0) > 1.05
 
 
-def test_reciprocity(rng):
-    """Light sent back along an order returns along the ray, and as much of it."""
+def test_orders_are_reciprocal(rng):
+    """Light sent back along an order returns to its source with the same efficiency."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.3, (8, 20)), 0.1)
     light = hemisphere(rng, 1, 0.4)[0]
     there = wd.order_efficiencies(heightfield, light, 500.0)
@@ -166,11 +166,11 @@ def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # |m 0.5/1.6 − sin 20°| < 1.
+    # These orders satisfy |m 0.5/1.6 − sin 20°| < 1.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 
-def test_an_order_is_a_pair():
+def test_an_order_is_a_pair_of_integers():
     found = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
     assert found[0, 99].tolist() == [0.0]
     with pytest.raises(TypeError, match="order must be an integer"):
@@ -178,7 +178,7 @@ def test_an_order_is_a_pair():
 
 
 @pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.0), (50.0, 0.0), (70.0, 40.0)])
-def test_normalised_orders_of_a_mirror_send_back_all_of_the_light(angle, azimuth):
+def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
     theta, phi = math.radians(angle), math.radians(azimuth)
     light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     for heightfield in (wd.gratings.blazed(1.7, 0.2), wd.gratings.bumps(spacing_um=(1.2, 1.5), height_um=0.15)):
@@ -189,7 +189,7 @@ def test_normalised_orders_of_a_mirror_send_back_all_of_the_light(angle, azimuth
 
 
 def test_normalised_orders_are_reciprocal():
-    """The share from light to view is that from the view back to the light: dividing by sums alone loses this."""
+    """The efficiency from light to view equals that from view to light. Division by the sums would violate this."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
     found = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []
@@ -214,7 +214,7 @@ def test_metals_are_normalised_and_glass_is_not():
 
 
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
-    """Fresnel's |(N − 1) / (N + 1)|² at normal incidence; wavelengths beyond the table are refused."""
+    """At normal incidence R = |(N − 1) / (N + 1)|². Wavelengths outside of the material's table are refused."""
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
     mirror = wd.HeightField(np.zeros((2, 2)), 0.1)
@@ -225,8 +225,8 @@ def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
             wd.order_efficiencies(mirror, (0, 0, 1), beyond, material=metal)
 
 
-def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
-    """∫ BRDF cos θ dω is the sum over orders that lie closely: factors from a grid of directions."""
+def test_the_normalised_brdf_of_many_orders_conserves_energy():
+    """For many close orders, the factors are interpolated from a grid of directions."""
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
     for angle in (0.0, 45.0, 75.0):
         stam, found = (

@@ -1,4 +1,4 @@
-"""Reports: shares and verdict from the errors of pixels."""
+"""Reports of pictures: shares of converged pixels, and a verdict computed from the errors of the pixels."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def test_edges_may_have_three_times_the_error():
     assert not report(0.05, 0.6).is_converged
 
 
-def test_the_verdict_names_what_it_judges():
-    """It names shares: the 99th percentile may exceed the tolerance, as errors at edges may be three times as large."""
+def test_the_verdict_names_the_shares_of_unconverged_pixels():
+    """The verdict names shares of pixels, because errors at edges may be three times the tolerance."""
     met = report(0.05, 0.3)
     assert met.errors[1] > met.tolerance
     assert met.verdict == (
@@ -34,7 +34,7 @@ def test_the_verdict_names_what_it_judges():
     assert report(0.3, 0.1).verdict.startswith("The picture does not meet its tolerance of 0.1 everywhere")
 
 
-def test_nothing_is_promised_without_refinement():
+def test_unrefined_pictures_have_no_shares_of_unconverged_pixels():
     unrefined = report(0.3, 0.3, refined=False)
     assert unrefined.verdict.startswith("Pixels were not refined: 99 % of the illuminated pixels")
     assert (unrefined.unconverged_share, unrefined.unconverged_edge_share) == (0.0, 0.0)

@@ -36,7 +36,7 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """An invalid request: front end, request, the user's name of the argument, expected rule, call for the message."""
+    """An invalid request: front end, request, the user's name of the argument, expected rule, and message."""
 
     front: str
     request: str

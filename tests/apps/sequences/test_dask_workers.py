@@ -1,4 +1,4 @@
-"""Frames by workers of Dask are those that are drawn here, also where workers are killed; ``make test-dask``."""
+"""Frames rendered by Dask workers equal local frames, even if workers are killed; run by ``make test-dask``."""
 
 import os
 import signal
