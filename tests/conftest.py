@@ -55,7 +55,7 @@ def fingers():
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Return a random generator with a fixed seed, or with the seed of the soak."""
+    """Return a random generator with a fixed seed, or with the seed of the soak test."""
     return np.random.default_rng(20140 + endurance.SEED)
 
 
@@ -73,14 +73,14 @@ def device(request) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """Store the report row of each test marked ``permanent``, so that the report of a soak can count tests by row."""
+    """Store the report row of each test marked ``permanent``; the report of a soak test counts tests by row."""
     for item in items:
         if marker := item.get_closest_marker("permanent"):
             item.user_properties.append(("row", marker.args[0]))
 
 
 def pytest_report_header() -> str | None:
-    """Return a header line with the random seed if this run is a soak."""
+    """Return a header line with the random seed if this run is a soak test."""
     return f"seed of the soak: {endurance.SEED}" if endurance.IS_SOAK else None
 
 
@@ -96,7 +96,7 @@ def _shares(item) -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """Divide the remaining time of a soak among the tests that have not run yet."""
+    """Divide the remaining time of a soak test among the tests that have not run yet."""
     if endurance.IS_SOAK:
         left = item.session.items[item.session.items.index(item) :]
         endurance.begin(_shares(item), sum(map(_shares, left)))
@@ -104,7 +104,7 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture
 def tries(record_property):
-    """Return a counter of attempts for the soak report. Tests without this fixture count as one attempt."""
+    """Return a counter of attempts for the report of a soak test. Tests without it count as one attempt."""
     counted = endurance.Tries()
     yield counted
     record_property("tried", counted.number)
@@ -151,7 +151,7 @@ def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="session")
 def square() -> trimesh.Trimesh:
     """Return a flat square of side 2 in the plane z = 0, whose texture direction u is +x."""
-    # Importing trimesh requires half a second, and parallel test runners wait until this file is imported.
+    # trimesh is imported here, because importing it takes 0.5 s and delays the start of parallel test runs.
     import trimesh
 
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]

@@ -1,8 +1,8 @@
-"""Number of attempts of the permanent tests: few in the default test command, many in a soak.
+"""Number of attempts of the permanent tests: few in the default test command, many in a soak test.
 
-``make soak`` sets two environment variables. ``WARPDIFF_SOAK`` is the time at which the soak ends, in seconds since the
-epoch. ``WARPDIFF_SOAK_SEED`` is the random seed. The tests share the remaining time equally, or by the weights given as
-``permanent(row, shares=…)``. A test starts no new attempt after its share of the time has passed.
+``make soak`` sets two environment variables. ``WARPDIFF_SOAK`` is the time at which the soak test ends, in seconds
+since the epoch. ``WARPDIFF_SOAK_SEED`` is the random seed. The tests share the remaining time equally, or by the
+weights given as ``permanent(row, shares=…)``. A test starts no new attempt after its share of the time has passed.
 """
 
 import functools
@@ -18,13 +18,13 @@ from hypothesis import HealthCheck, seed, settings
 _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
-# Random seed of the test run. Each soak uses a different one.
+# Random seed of the test run. Each soak test uses a different one.
 SEED = int(os.environ.get("WARPDIFF_SOAK_SEED", "0"))
 _until = _END
 
 
 def count(in_tests: int, in_soak: int) -> int:
-    """Return the number of attempts: ``in_soak`` during a soak, otherwise ``in_tests``."""
+    """Return the number of attempts: ``in_soak`` during a soak test, otherwise ``in_tests``."""
     return in_soak if IS_SOAK else in_tests
 
 
@@ -35,12 +35,12 @@ def begin(shares: int, shares_left: int) -> None:
 
 
 def seconds_left() -> float:
-    """Return the remaining time of the current test in seconds, or infinity outside of a soak."""
+    """Return the remaining time of the current test in seconds, or infinity outside of a soak test."""
     return max(_until - time.time(), 0.0) if IS_SOAK else float("inf")
 
 
 class Tries:
-    """Counter of the attempts of one test, for the soak report."""
+    """Counter of the attempts of one test, for the report of a soak test."""
 
     def __init__(self) -> None:
         self.number = 0
@@ -55,7 +55,7 @@ class Tries:
 
 
 def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
-    """Return a Hypothesis decorator: a soak draws new examples; other runs do so only when the package changes."""
+    """Return a Hypothesis decorator: soak tests draw new examples; other runs do so only when the package changes."""
     chosen = settings(
         max_examples=count(in_tests, in_soak), deadline=None, database=None, suppress_health_check=list(HealthCheck)
     )

@@ -260,7 +260,7 @@ MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "Or
 MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
-# Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes whose objects are fuzzed, too.
+# Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
@@ -334,7 +334,7 @@ def call(name, fuzzed):
         return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
     arguments = {}
     for key, parameter in inspect.signature(function).parameters.items():
-        # Gratings are cheap to generate with the default arguments, so these defaults are not replaced.
+        # Default arguments of gratings are cheap, so they are not replaced by the legal values.
         if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
             arguments[key] = LEGAL[key]
         elif key in LEGAL_BY_CALL and key not in fuzzed:
@@ -345,7 +345,7 @@ def call(name, fuzzed):
         arguments.pop("pitch_um")
     arguments |= LEGAL_OF.get(name, {}) | fuzzed
     if arguments.get("coherence") is MOST_PERIODS and str(arguments.get("method")) == "direct":
-        # The float64 direct sum over 100,000 periods requires a minute per direction. Use 100 periods instead.
+        # The float64 direct sum over 100,000 periods requires a minute per direction, so 100 periods are used instead.
         arguments["coherence"] = wd.Coherence("replicas", periods=(1, 100))
     if owner is None:
         return function(**arguments)

@@ -180,13 +180,13 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
         """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
-        # Standard deviations are limited, because this approximation fails for wider ranges of azimuth and ln |(u, v)|.
+        # Standard deviations of wide footprints are limited, because the approximation in ln |(u, v)| fails for them.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share
         ratio2 = polar[1, 1] * ratio_share * ratio_share
         both = polar[0, 1] * turn_share * ratio_share
-        # The centre is the mean of ln |(u, v)|, to second order in the standard deviations.
+        # The centre of the footprint is the mean of ln |(u, v)|, to second order in the standard deviations.
         place = ring_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.rings_per_log
         variance = ratio2 * table.rings_per_log * table.rings_per_log + 0.25
         deviation = wp.sqrt(variance)
@@ -244,16 +244,14 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:  # fmt: skip
-        """Return the Gaussian-weighted sum of one ring's rows; the Gaussian is narrowed along the ring by the rows' own
-        blur.
-        """
+        """Return the Gaussian-weighted sum of a ring's rows; the Gaussian is narrowed by the rows' own blur."""
         octave = ring // table.rings_per_octave
         radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
         cutoff = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
-        # Spline coefficients are sharper than the values of the spline, so their blur is smaller.
+        # Spline coefficients are sharper than the values of the spline, so a smaller blur is subtracted.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for azimuth in range(azimuths):
@@ -328,7 +326,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether a source is too small for the blur of the rows, or too wide for this approximation."""
+        """Return whether a source is narrower than the blur of the rows, or too wide for a range of azimuths."""
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
         over2 = polar[1, 1] + 0.25 / (table.rings_per_log * table.rings_per_log)

@@ -98,7 +98,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
 def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
-    """The shots equal those of the library's functions."""
+    """The shots of a command-line sequence equal those of the library's functions."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
     monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])
@@ -166,7 +166,7 @@ def test_the_plan_reports_the_requested_coherence_and_method(options, said, tmp_
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # Plans for this short coherence window need several seconds less.
+    # A short coherence window makes planning several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out
@@ -288,7 +288,7 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
 
 
 def run_without_home(code, folder, **environment):
-    """Run Python code without a home folder of the user."""
+    """Run Python code for a user without a home folder."""
     homes = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
     names = {key: value for key, value in os.environ.items() if key not in homes}
     names |= {"TMPDIR": str(folder)} | environment
@@ -336,7 +336,7 @@ def test_warnings_are_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
 
 
-# Pictures only 18 pixels wide have larger errors, so this warning is ignored.
+# Test pictures are only 18 pixels wide, so their errors are larger, and the warning about errors is ignored.
 TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
@@ -354,7 +354,7 @@ def rough(compute, *scene, **options):
 def test_demo_without_the_data(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
-    # A smaller grating, window and tolerance save several seconds.
+    # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
     monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
     for name in ("shade", "reflectance_map"):
         monkeypatch.setattr(demo, name, functools.partial(rough, getattr(demo, name)))

@@ -28,7 +28,7 @@ def spectrum(fingers):
 
 
 def test_colours_are_within_the_requested_difference(fingers, lobes):
-    """The reference has directions that baking did not use, half of them drawn in proportion to their luminance."""
+    """Half of the compared directions are drawn in proportion to their luminance. Baking has used none of them."""
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
     luminance = lobes.reflectance(lights, views)[:, 1].astype(float)
@@ -144,13 +144,13 @@ def test_a_baked_spectrum_equals_the_reflectance_of_directions(fingers, spectrum
     power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
     gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
     relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
-    # The cells are a quarter of a lobe's standard deviation wide, which blurs the spectrum slightly.
+    # Baking averages the spectrum over cells a quarter of a lobe's standard deviation wide, which blurs it slightly.
     assert np.percentile(relative, 90.0) < 0.05
     assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
 
 
 def test_the_powers_of_a_sine_add_up_to_squared_bessel_functions():
-    """The sum of 4πσ² · power over the cells equals the sum of J_m² over all orders m except the zeroth."""
+    """The sum of 4πσ² · power over all cells equals the sum of J_m² over all orders m except the zeroth."""
     sine = wd.gratings.sinusoidal(2.0, 0.2)
     baked = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
     kappas = np.linspace(baked.least_kappa, baked.largest_kappa, len(baked.functions))
@@ -224,7 +224,7 @@ def test_quantisation_errors_are_half_a_step_of_the_largest_value():
 
 
 def test_a_polar_grid_represents_lobes_of_its_design_width():
-    """The lobes have the design width in azimuth. Radially, colours widen them to a tenth of |(u, v)|."""
+    """The test lobes have the design width in azimuth. Radially, colours widen lobes to a tenth of |(u, v)|."""
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)
     angles, radii = np.array([0.3, 2.0, 4.4]), np.array([1.1, 0.5, 1.7])

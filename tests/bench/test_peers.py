@@ -22,7 +22,7 @@ def runs(peer):
 
 
 def called(heightfield, lights, views, coherence):
-    """Return scattering vectors, gains and the reference colours."""
+    """Return scattering vectors, gains, and the colours of the reference."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
@@ -86,7 +86,7 @@ def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # The lines are at 0.75 and 0.375 µm. The second is outside of the model's visible range, so only green remains.
+    # Lines are at wavelengths of 0.75 and 0.375 µm. The model ignores the second one, so only green remains.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

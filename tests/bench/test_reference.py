@@ -13,7 +13,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-DIRECTIONS = 48  # 48 directions with 5 wavelengths give more than 200 points per regime
+DIRECTIONS = 48  # number of directions; with five wavelengths there are more than 200 points per regime
 
 
 def rough():
@@ -24,7 +24,7 @@ def fingers():
     return gratings.fingers(size_um=3.6, pitch_um=0.09, seed=4)
 
 
-# Height fields with their window in µm, source diameter in degrees and numbers of periods.
+# Height field, window in µm, source diameter in degrees and numbers of periods of each regime.
 REGIMES = {
     "sinusoidal": (lambda: gratings.sinusoidal(1.6, 0.4), 16.25, 0.53, (1, 12)),
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
@@ -48,7 +48,7 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # The incidence angles go up to 85°, where the cosine is 0.087.
+    # The angles of incidence reach 85°, where the cosine is 0.087.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
     # A third of the views is near the mirror direction and a third near an order, because random views miss narrow
     # orders.

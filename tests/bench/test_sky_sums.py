@@ -13,7 +13,7 @@ from warpdiff.optics.spectra import colour_science
 
 SIGMA_UM = 8.0
 WINDOW = wd.Coherence(sigma_um=SIGMA_UM)
-# A short window has wide lobes, for which the sums have the least noise.
+# A short coherence window has wide lobes, for which sums over directions have the least noise.
 WIDE = wd.Coherence(sigma_um=1.5)
 FLAT = wd.HeightField(np.zeros((32, 32)), 0.09)
 # The view from above is tilted away from +y, so that azimuths are defined.
@@ -93,7 +93,7 @@ def test_a_disc_on_a_sky_is_a_disc_light(fingers):
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
     light = wd.DirectionalLight(tuple(AXIS), illuminant=spectrum, angular_diameter_deg=40.0)
     bright = colorimetry.colour_products("D65")[:, 1]
-    # The colours of a disc light are means over its solid angle.
+    # The colours of a disc light are means over its solid angle, but those of a sky are integrals.
     scale = 2.0 * math.pi * (1.0 - math.cos(math.radians(20.0))) * 4.0 * math.pi * WIDE.sigma_um**2
     scale *= (bright / (1e-3 * nm) ** 2).sum() / bright.sum()
     under_light = sums.under_disc(PIXELS, light, 96, 0).mean(axis=0)

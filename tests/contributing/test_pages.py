@@ -17,7 +17,7 @@ FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
 
 @pytest.fixture
 def module_of(tmp_path, monkeypatch):
-    """Return a function that imports the Python block of a page as a module, from a file, as Warp requires."""
+    """Return a function that imports the Python block of a page from a temporary file, as Warp requires."""
 
     def load(page):
         (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -33,7 +33,7 @@ def module_of(tmp_path, monkeypatch):
 
 
 def test_the_page_about_lights(module_of, fingers):
-    """The spotlight illuminates the body if its axis points at it, and does not if it points away."""
+    """The spotlight illuminates the body if its axis points at the body, and not if it points away."""
     page = module_of("add_a_light")
     body = wd.meshes.tube(segments_along=12, segments_around=12)
     view = wd.View.fit(body, width=24, height=18)

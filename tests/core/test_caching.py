@@ -29,7 +29,7 @@ def test_bytes_are_limited_except_for_the_last_value():
 
 
 def test_a_lookup_does_not_replace_the_stored_key():
-    """An equal key used for a look-up may change later, so the cache must store the first key."""
+    """The cache must store the first key, because an equal key used for a look-up may change later."""
     cache, first, equal = LruCache(2), Frozen(1), Frozen(1)
     cache.put(first, "value")
     assert cache.get(equal) == "value"
@@ -39,7 +39,7 @@ def test_a_lookup_does_not_replace_the_stored_key():
 
 
 class Frozen:
-    """A mutable key, contrary to its name, that is compared by its number."""
+    """A mutable key, contrary to its name, which is compared by its number."""
 
     def __init__(self, number):
         self.number = number

@@ -54,7 +54,7 @@ def test_other_keys_and_heights_have_their_own_files(folder, key, heights):
 
 @pytest.mark.usefixtures("folder")
 def test_arrays_of_other_code_are_not_read(tmp_path, monkeypatch):
-    """Files written by another release, or before a change of the code, have another key."""
+    """Cache files of another release, or written before a change of the code, must not be read."""
     digests = []
     for text in ("ORDER = 1", "ORDER = 2", "ORDER = 2"):
         (tmp_path / "series.py").write_text(text)
@@ -80,7 +80,7 @@ def damaged(whole, rng):
     yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
     yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
     for at in range(8, 40, 2):
-        # These bytes contain the version of the archive, its encryption flag and its compression, in both headers.
+        # The changed bytes contain the version of the archive, its encryption flag and its compression.
         for header in (b"PK\x03\x04", b"PK\x01\x02"):
             for start in (0, whole.index(b"PK")):
                 content = bytearray(whole[start:])
@@ -107,7 +107,7 @@ def test_a_damaged_file_is_replaced(folder, rng, tries):
             arrays = disk_cache.cached_on_disk("key", HEIGHTS, make)
             np.testing.assert_array_equal(arrays["rows"], np.ones((2, 3), np.float32))
             assert arrays["step"] == 0.25
-        # The result is computed once, and the file is then valid again.
+        # After damage the result is computed once, and the cache file is then valid again.
         assert len(calls) == 1
         assert path.read_bytes() == whole
 
@@ -135,7 +135,7 @@ def test_old_temporary_files_of_killed_processes_are_removed(folder, tries):
         os.utime(file, (1e9, 1e9))
     disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
     assert not old.exists()
-    # Another process may still be writing a young file. Files of other programs stay untouched.
+    # Young temporary files are kept, because another process may still be writing them. So are files of other programs.
     assert young.exists()
     assert (folder / "mine.part").exists()
 

@@ -101,7 +101,7 @@ def test_an_error_in_the_progress_function_ends_the_loop(threads):
 
 @pytest.mark.parametrize("threads", [2, 31])
 def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
-    """Starting a thread fails, for example, if the address space has no room for another stack."""
+    """Starting a thread can fail, for example if the address space has no room for another stack."""
 
     def fail(_):
         raise RuntimeError("can't start new thread")
@@ -164,7 +164,7 @@ def test_overlapping_contexts_of_two_threads_restore_the_number_of_threads():
     with single_threaded_blas():
         other.start()
         entered.wait(60.0)
-    # The other thread is still within its context. Its sums must stay on one thread, or forks would wait forever.
+    # The other thread is still within its context, so linear algebra must stay on one thread.
     assert set(blas_threads()) == {1}
     leave.set()
     other.join()

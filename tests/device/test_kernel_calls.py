@@ -16,7 +16,7 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
-# These options equal those of the package. With others, Warp's headers would be precompiled again.
+# The compile options equal those of the package. Others would precompile Warp's headers again.
 wp.set_module_options(compile_options.options())
 
 
@@ -118,7 +118,7 @@ def count_marks(values: wp.array(dtype=wp.int64), first: wp.int32):
 
 
 def test_threads_may_be_the_first_to_launch_a_kernel():
-    """All threads look up the kernel's native function simultaneously."""
+    """All threads launch the kernel for the first time simultaneously."""
     values = wp.zeros(4, dtype=wp.int64, device="cpu")
     together = threading.Barrier(4)
 

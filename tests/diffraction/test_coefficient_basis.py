@@ -68,7 +68,7 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The coefficient of the mirror direction is 1. A basis of powers loses two of its digits (``_SMALL_KAPPA``).
+    # The coefficient of the mirror direction is 1. A basis of powers loses two digits there (``_SMALL_KAPPA``).
     largest = np.abs(exact).max(axis=0)
     assert np.abs(values - exact).max() < (4e-6 if method == "low-rank" and adds_powers else 1e-6)
     assert np.percentile(np.abs(values - exact).max(axis=0) / largest, 99.0) < 2e-5
@@ -94,7 +94,7 @@ def test_the_truncation_error_of_a_basis(method, adds_powers, kappas):
             "yxpn,kn->kyxp", coefficients.rows[..., :terms].astype(float), basis_at(coefficients, at)[:, :terms]
         )
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
-        # The truncation error is a percentile at sampled κ. Errors between these samples are slightly larger.
+        # The stated truncation error is a percentile at sampled κ. Errors between the samples are slightly larger.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
         assert coefficients.truncation_errors[terms] <= tolerance < coefficients.truncation_errors[terms - 1]
 
@@ -128,7 +128,7 @@ def test_flat_and_thin_fields(shape, method, rng):
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """The basis is shared by plans, so its terms must be the same for every neighbourhood."""
+    """The fitted basis is shared by plans, so it must not depend on the neighbourhood of a plan."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -147,7 +147,7 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders(taps, samples, rng):
-    """Values interpolated from a transform at half orders equal the sum at any frequency."""
+    """A Fourier transform at half orders, interpolated, equals the explicit sum at any frequency."""
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)
@@ -179,7 +179,7 @@ def test_interpolation_kernel_and_its_transform():
 
 @pytest.mark.parametrize("method", ["low-rank", "power"])
 def test_higher_orders_of_a_shallow_surface_are_accurate(method):
-    """Powers of order n are proportional to κ²ⁿ and very small. Their relative error must still be small."""
+    """The power of order n is proportional to κ²ⁿ and very small, but must have a small relative error."""
     x = np.arange(64) / 64.0
     heightfield = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
     coefficients, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)

@@ -96,7 +96,7 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     """Return the largest error of the kernel over random directions and wavelengths, in units of the allowed error."""
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
-    # Upper bounds provide enough terms. A call with few directions uses them, here the ends of the range.
+    # With few directions, here the ends of the range, a plan has the terms of its upper bounds, which suffice.
     uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
     ends = [uv.argmax(), w.argmin(), w.argmax()]
     options = {"coherence": coherence, "method": method}
@@ -111,7 +111,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return one crop of the scan for windows, and a smaller one for sources and replicas with slow direct sums."""
+    """Return two crops of the scan: the larger for windows, the smaller for sources and replicas, which are slow."""
     return scan.cropped(12.5), scan.cropped(6.25)
 
 

@@ -29,7 +29,7 @@ def seen_from(towards):
 
 @pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
 def test_powers_of_all_bins_add_up_to_one(bin_um):
-    """The sum is 1 by Parseval's theorem: with a pitch of 0.1 µm the orders end at 5/µm."""
+    """By Parseval's theorem all powers add up to 1. With a pitch of 0.1 µm the orders end at 5/µm."""
     powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
@@ -37,7 +37,7 @@ def test_powers_of_all_bins_add_up_to_one(bin_um):
 
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
-    """The mirror is a sphere in a uniform environment (white furnace). The factors are computed without any sky."""
+    """A perfect mirror in a uniform environment (white furnace) must be as bright as the environment."""
     off, heightfield = [], SURFACES["blazed"]()
     for energy in ("stam", "normalised"):
         image, radius = furnace_picture(heightfield, energy, tolerance=1e-1, size=20)
@@ -92,7 +92,7 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
 
 
 def test_gentle_surfaces_keep_their_orders():
-    """If one order has nearly all power, energy alone does not determine the factors. They must stay near 1."""
+    """If one order has nearly all power, conservation of energy leaves the other factors open. They must be near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)

@@ -140,7 +140,7 @@ def test_terms_from_the_remainder_bound(method, argument, tolerance):
 
 
 def test_bessel_functions_equal_tabulated_values():
-    """The values are from Abramowitz and Stegun, tables 9.1 and 9.4."""
+    """The known values are from Abramowitz and Stegun, tables 9.1 and 9.4."""
     known = {
         (0, 1.0): 0.7651976865579666, (1, 1.0): 0.4400505857449335, (5, 10.0): -0.2340615281867936,
         (10, 20.0): 0.1864825580239450, (30, 5.0): 2.671177278e-21, (100, 100.0): 0.09636667329586,

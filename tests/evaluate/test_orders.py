@@ -28,7 +28,7 @@ def blazed(kappa, depth, order):
     return np.sinc(kappa * depth - order) ** 2
 
 
-# Height field, closed form and allowed error. Sampling errors of profiles with steps fall with the square of the count.
+# Height field, closed form and allowed error of each profile. Sampling errors of steps fall as 1/samples².
 PROFILES = {
     "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
     "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
@@ -46,7 +46,7 @@ def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # The number of terms must be close to the argument, because computing time is proportional to it.
+    # The number of terms must be close to the argument of the series, because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 
@@ -103,7 +103,7 @@ def test_two_dimensions_by_explicit_sums(rng):
 
 
 def test_an_order_is_the_integral_of_the_brdf():
-    """A window spreads an order over the solid angle λ²/(4πσ²). Its central BRDF is the efficiency divided by it."""
+    """A window spreads an order over the solid angle λ²/(4πσ²). The BRDF at its centre is efficiency / solid angle."""
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
     found = wd.order_efficiencies(heightfield, light, 550.0)
     options = {"coherence": wd.Coherence(sigma_um=sigma), "tolerance": 1e-4}
@@ -134,7 +134,7 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
 
 
 def test_orders_are_reciprocal(rng):
-    """Light sent back along an order returns to its source with the same efficiency."""
+    """Light sent back along a diffraction order returns to its source with the same efficiency."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.3, (8, 20)), 0.1)
     light = hemisphere(rng, 1, 0.4)[0]
     there = wd.order_efficiencies(heightfield, light, 500.0)
@@ -166,7 +166,7 @@ def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # These orders satisfy |m 0.5/1.6 − sin 20°| < 1.
+    # Exactly these orders satisfy the condition of propagation, |m 0.5/1.6 − sin 20°| < 1.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 
@@ -189,7 +189,7 @@ def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
 
 
 def test_normalised_orders_are_reciprocal():
-    """The efficiency from light to view equals that from view to light. Division by the sums would violate this."""
+    """Normalised efficiencies are equal in both directions. Division by the sum of the orders would violate this."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
     found = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []
@@ -214,7 +214,7 @@ def test_metals_are_normalised_and_glass_is_not():
 
 
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
-    """At normal incidence R = |(N − 1) / (N + 1)|². Wavelengths outside of the material's table are refused."""
+    """At normal incidence a metal with index N reflects |(N − 1) / (N + 1)|². Other wavelengths are refused."""
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
     mirror = wd.HeightField(np.zeros((2, 2)), 0.1)
@@ -226,7 +226,7 @@ def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
 
 
 def test_the_normalised_brdf_of_many_orders_conserves_energy():
-    """For many close orders, the factors are interpolated from a grid of directions."""
+    """If there are many orders, normalisation factors are interpolated from a grid of directions."""
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
     for angle in (0.0, 45.0, 75.0):
         stam, found = (

@@ -37,7 +37,7 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
 
 
 def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatch):
-    """The wavelength step is halved until the colour converges or the limit on wavelengths is reached."""
+    """The wavelength step of a direct sum is halved until the colour converges or the limit is reached."""
     counts = []
     sums = module.direct_sum.window_power
 
@@ -49,7 +49,7 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
     options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
     wd.reflectance(line, at_angle(10.0), UP, **options)
     first = counts[0]
-    # Each halving computes only the new wavelengths, one less than the previous number.
+    # Each halving of the step computes only the new wavelengths, one fewer than before.
     totals = list(itertools.accumulate(counts))
     assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
     monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)
@@ -66,7 +66,7 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
 
 
 def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
-    """The other factor, R (1 + ωi·ωr)² / (cos θi cos θr w²), is 1 in the mirror direction and 0 below the horizon."""
+    """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²), which is 1 here and 0 below the horizon."""
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
     for angle in (0.0, 40.0):
@@ -94,7 +94,7 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # Errors are relative to the colour, or to the luminance floor.
+    # The errors of a map are relative to the colour, or to the luminance floor.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 

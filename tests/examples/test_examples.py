@@ -19,7 +19,7 @@ MOST_LINES, MOST_PIXELS = 40, 48
 
 
 def smaller(view):
-    """Return the view with few pixels."""
+    """Return a copy of the view with few pixels."""
     scale = MOST_PIXELS / max(view.width, view.height)
     size = {name: max(round(scale * getattr(view, name)), 2) for name in ("width", "height")}
     return dataclasses.replace(view, **size)

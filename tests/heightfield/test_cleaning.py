@@ -44,7 +44,7 @@ def test_resampling_up_and_down_returns_the_original(shape: tuple[int, int], fac
     assert finer.shape == tuple(1 if n == 1 else round(n * factor) for n in shape)
     back = finer.resampled(field.pitch_um)
     np.testing.assert_allclose(back.heights_um, field.heights_um, atol=1e-15)
-    # By Parseval's theorem the rms height stays equal, except if an even number of samples splits the Nyquist term.
+    # By Parseval's theorem resampling preserves the rms height, except if an even count splits the Nyquist term.
     if all(n % 2 == 1 for n in shape):
         assert finer.rms_um == pytest.approx(field.rms_um, rel=1e-12)
     assert np.mean(finer.heights_um) == pytest.approx(np.mean(field.heights_um), abs=1e-15)
@@ -104,7 +104,7 @@ def test_the_periodic_part_solves_moisans_equation() -> None:
     laplacian = sum(np.roll(smooth, s, a) for s in (1, -1) for a in (0, 1)) - 4.0 * smooth
     np.testing.assert_allclose(laplacian[1:-1, 1:-1], 0.0, atol=1e-15)
     assert abs(smooth.mean()) < 1e-16
-    # Fields with equal edges, and single rows, are already periodic and stay unchanged.
+    # Fields with equal edges and single rows are already periodic and stay unchanged.
     for same in (np.zeros((4, 5)), np.array([[1.0, 2.0, 1.0]])):
         np.testing.assert_allclose(HeightField(same, 1.0).periodic().heights_um, same, atol=1e-15)
 

@@ -36,7 +36,7 @@ def test_summary_reads_well() -> None:
 
 @pytest.mark.parametrize("period", [2.0, 7.0])
 def test_the_error_bound_of_a_sine_has_a_closed_form(period):
-    """The error bound is (4πs/λ)² λ/P, with the variance s² = depth²/8."""
+    """The scalar error bound of a sine is (4πs/λ)² λ/P, with the variance s² = depth²/8 and the period P."""
     heightfield = wd.gratings.sinusoidal(period, 0.2, samples=400)
     bound = scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 500.0)
     assert heightfield.mean_slope == pytest.approx(2.0 * 0.2 / period)
@@ -44,7 +44,7 @@ def test_the_error_bound_of_a_sine_has_a_closed_form(period):
 
 
 def test_for_short_periods_the_error_bound_is_the_missing_power():
-    """Scalar theory removes 1 − J_0² from the mirror order, although a short period has no other propagating order."""
+    """For a sine, scalar theory removes 1 − J_0² from the mirror order, even if no other order propagates."""
     depth, wavelength = 0.01, 500.0
     heightfield = wd.gratings.sinusoidal(0.3, depth)
     orders = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
@@ -99,7 +99,7 @@ def test_usual_surfaces_cause_no_warning(heightfield):
 
 
 def test_the_error_bound_agrees_with_rigorous_solutions():
-    """The rigorous solutions are boundary integrals for sines of a perfect mirror, with small and large bounds."""
+    """The error bound is compared with rigorous solutions: boundary integrals for sines of a perfect mirror."""
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"]["Sine, perfect mirror"]["first_order_and_efficiencies"])
     errors, bounds = [], []
@@ -117,9 +117,9 @@ def test_the_error_bound_agrees_with_rigorous_solutions():
     error, bound = np.array(errors), np.array(bounds)
     assert np.mean(error[bound <= 0.1] <= 0.1) > 0.98
     assert error[bound <= 0.1].max() < 0.13
-    # Gratings with a very small bound have a very small error.
+    # Gratings with a very small error bound have a very small error.
     assert error[bound <= 1e-3].max() < 2e-3
-    # Most gratings with a small error also have a small bound.
+    # Most gratings with a small error also have a small error bound.
     assert np.mean(bound[error <= 0.1] <= 0.1) > 0.6
     assert np.mean(error[bound >= SCALAR_INVALID] > 0.1) > 0.9
 
@@ -130,7 +130,7 @@ def test_the_error_bound_agrees_with_rigorous_solutions():
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_closer_to_rigorous_solutions(case, make):
-    """The grooves are at most a quarter of a wavelength deep. For normalised energy the bound is half as large."""
+    """The grooves are at most a quarter of a wavelength deep. Normalised energy halves the error bound."""
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
     errors, bounds = [], []
@@ -138,7 +138,7 @@ def test_normalised_orders_of_mirrors_are_closer_to_rigorous_solutions(case, mak
         for j, depth in enumerate(stored["depths"]):
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                # A subset of the stored cases suffices here.
+                # Every third period and two depths of the stored cases suffice for this test.
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 heightfield = make(period, depth)
@@ -186,7 +186,7 @@ def test_plausible_and_explicitly_scaled_surfaces_cause_no_warning() -> None:
         for flat in (0.0, 0.37, -1e-7):
             field = wd.HeightField(np.full((8, 8), flat), 0.05)
             wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # A subtracted tilt leaves heights of the size of rounding errors.
+        # After subtraction of a tilt, heights may be as small as rounding errors, which is not suspicious.
         wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
         wd.HeightField([[0.2]], 0.05)
         for function, arguments in GRATINGS.values():

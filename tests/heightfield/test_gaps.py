@@ -73,7 +73,8 @@ def test_the_error_of_a_filled_gap_is_within_the_documented_bound() -> None:
 
 
 def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
-    # The gaps are half of the field with its edges, and single samples. Each becomes a mean weighted by 1/pitch².
+    # Half of the field and some single samples are missing. Each becomes a mean of its neighbours, weighted by
+    # 1/pitch².
     gap = (Y > 3.0) | (np.random.default_rng(5).random(SHAPE) < 0.1)
     field = gappy(waves(), gap)
     filled = field.filled().heights_um
@@ -117,7 +118,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
     result = gappy(total).levelled(order)
     np.testing.assert_array_equal(result.missing, GAP)
     np.testing.assert_allclose(result.heights_um[~GAP], 0.0, atol=1e-12)
-    # The result equals the least-squares solution over the existing samples, from a plain solver.
+    # Levelling with gaps equals the least-squares solution over the existing samples, from a plain solver.
     rough = gappy(waves() + total)
     terms = [X**i * Y**j for i in range(order + 1) for j in range(order + 1 - i)]
     matrix = np.stack([term[~GAP] for term in terms], axis=1)
@@ -137,7 +138,7 @@ def test_despiking_and_making_periodic_preserve_gaps() -> None:
     changed = (clean.heights_um != dirty.heights_um) & ~GAP
     assert changed[grain > 0.1].all()
     assert not changed[grain == 0.0].mean() > 0.02
-    # Only edges without gaps determine the smooth part.
+    # The smooth part of the periodic decomposition depends only on edges without gaps.
     whole = wd.HeightField(waves(), PITCH).periodic()
     np.testing.assert_allclose(gappy(waves()).periodic().heights_um[~GAP], whole.heights_um[~GAP])
     np.testing.assert_array_equal(gappy(waves()).periodic().missing, GAP)

@@ -71,7 +71,7 @@ def test_standard_errors_are_valid_in_strong_noise(noise):
 
 @pytest.mark.parametrize("seed", [87, 115])
 def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
-    """The fit can diverge to a fraction of a wave, which together with a tilt fits any field."""
+    """In strong noise the fit can diverge to a fraction of a wave, which together with a tilt fits any field."""
     noise = np.fft.fft2(np.random.default_rng(seed).normal(size=(60, 80)))
     noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))
     noise = np.fft.ifft2(noise).real
@@ -121,7 +121,7 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The first line behind the cropped field equals its first line.
+    # The first line behind the cropped field equals the first line of the field.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1
@@ -143,7 +143,7 @@ def test_making_few_periods_periodic_causes_a_warning():
     assert bent.height_range_um > 1.2 * field.height_range_um
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # The edges of a rough surface with many grains do not match, but ``periodic()`` changes little else.
+        # The edges of a rough surface with many grains do not match, but ``periodic()`` changes its heights little.
         spectrum = np.fft.rfft2(np.random.default_rng(4).normal(size=(400, 400)))
         frequency = np.hypot(np.fft.fftfreq(400, PITCH)[:, None], np.fft.rfftfreq(400, PITCH))
         rough = np.fft.irfft2(spectrum * np.exp(-((0.5 * frequency) ** 2)), (400, 400))

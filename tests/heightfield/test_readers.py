@@ -109,7 +109,7 @@ def test_bad_files(tmp_path: Path, name: str, options: dict[str, Any], error: ty
     ids=["cut off", "a shape beyond int64"],
 )
 def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
-    """NumPy parses the header as Python source, and can raise any error of the parser."""
+    """NumPy parses the header of a .npy file as Python source, and can raise any error of the parser."""
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     with pytest.raises(ValueError, match=r"path: .*a\.npy' cannot be read as \.npy"):
@@ -117,7 +117,7 @@ def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
 
 
 def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch):
-    """The reader's error message quotes bytes of the damaged file."""
+    """The error message of the image reader can quote invalid bytes of a damaged file."""
 
     def said():
         return b"\xff".decode()
@@ -180,7 +180,7 @@ def test_saved_fields_are_restored_exactly(tmp_path: Path, make: Callable[[], He
     assert again.heights_um.tobytes() == field.heights_um.tobytes()
     assert (again.pitch_um, again.shape) == (field.pitch_um, field.shape)
     np.testing.assert_array_equal(again.missing, field.missing)
-    # An existing file is replaced, and no other file remains.
+    # Saving replaces an existing file, and no temporary file remains.
     noise((2, 2)).save(path)
     assert HeightField.load(path).shape == (2, 2)
     assert list(tmp_path.iterdir()) == [path]
@@ -229,7 +229,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
         except ValueError as error:
             refused += str(error).startswith(f"path: '{damaged}'")
         else:
-            # The damage changed only metadata, such as a time. The heights are protected by a checksum.
+            # The damage changed only metadata of the archive, such as a time. The heights are protected by a checksum.
             np.testing.assert_array_equal(again.heights_um, field.heights_um)
             refused += 1
     assert refused == 300

@@ -1,4 +1,4 @@
-"""Picture files, read back through OpenImageIO."""
+"""Files of pictures, written by ``Image.save`` and read back through OpenImageIO."""
 
 import contextlib
 import dataclasses
@@ -199,7 +199,7 @@ def test_a_background_is_mixed_in_linear_light(image, tmp_path):
     np.testing.assert_allclose(over[2:], encoded[2:, :, :3], atol=1e-6)
     mixed = 0.25 * colorimetry.srgb_decode(encoded[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
     np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
-    # A picture with a coverage of 0.25 over itself has a total coverage of 1 − (1 − 0.25)².
+    # A picture with a coverage of 0.25 over a copy of itself has a total coverage of 1 − (1 − 0.25)².
     itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
     np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(encoded[1, :, :3]), atol=1e-5)
     spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
@@ -265,7 +265,7 @@ def largest_file(size):
     """Limit the size of written files, as a full disk does. The limit is lifted before the test report is written."""
     resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # Python ignores the signal SIGXFSZ, so writing fails with an error.
+    # Python ignores the signal SIGXFSZ, so writing beyond the limit fails with an error.
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
@@ -274,7 +274,7 @@ def largest_file(size):
 
 
 def cannot_save(image, folder, name, *, message="cannot write", **options):
-    """Check that saving raises an error, with or without an old file, and leaves all files unchanged."""
+    """Check that saving raises an error, with or without an existing file, and leaves all files unchanged."""
     for old in ({}, {name: b"precious"}):
         for file, content in old.items():
             (folder / file).write_bytes(content)
@@ -402,7 +402,7 @@ def test_notebooks_and_viewers_show_what_a_png_file_holds(image, tmp_path, monke
     monkeypatch.setattr(ImageShow, "show", lambda *_args, **_: False)
     with pytest.raises(RuntimeError, match=r"no viewer of PNG files .*save the picture"):
         image.show()
-    # In a notebook, IPython displays the picture.
+    # In a notebook, ``show`` displays the picture by IPython.
     notebook = types.SimpleNamespace(
         get_ipython=lambda: types.SimpleNamespace(kernel=True), display=types.SimpleNamespace(display=pictures.append)
     )

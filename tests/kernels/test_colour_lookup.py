@@ -63,10 +63,10 @@ def test_native_look_ups_equal_the_reference_implementation(coherence, footprint
         results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
-    # Rounding may decide whether a direction near the limit is served by the table.
+    # Rounding can decide whether a direction near the limit of the table is looked up or sampled.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Fractions between azimuth samples and between rings are rounded to the 64 steps of a table.
+    # Native look-ups round fractions between azimuth samples and between rings to 64 steps.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -70,7 +70,7 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In so small a picture, the azimuth of (u, v) changes by 0.1 or more between pixels. Larger pictures are in bench/.
+    # In so small a picture, the azimuth of (u, v) changes by 0.1 or more per pixel, which limits the accuracy.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -107,7 +107,7 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
     plan = dataclasses.replace(plan, footprint=True)
     lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
     count = 100_000
-    # The count is not a multiple of any of these batch sizes, so the last batch is incomplete.
+    # The number of look-ups is not a multiple of these batch sizes, so the last batch is incomplete.
     runs = (256, 1, 7, 61)
     uv, w = rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, count)
     scattering_vectors = np.column_stack([uv, w])
@@ -168,7 +168,7 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Distances are in standard deviations. Footprints around the mirror direction include all azimuths."""
+    """Test distances from the mirror direction are in standard deviations. These footprints include all azimuths."""
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
     plan = wd.plan(heightfield, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -276,11 +276,11 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
-    # Near grazing view, normals are tilted towards the viewer. The slopes of (u, v) are discontinuous there.
+    # Near grazing view, normals are tilted towards the viewer, so the slopes of (u, v) are discontinuous.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200
-    # The kernel's arrays contain −u and −v.
+    # The kernel stores footprints of −u and −v, so only absolute values are compared.
     size = np.linalg.norm(expected[facing], axis=1, keepdims=True)
     error = np.abs(np.abs(result.numpy()[hit][facing]) - np.abs(expected[facing])) / size
     assert np.percentile(error, 99) < 2e-3
@@ -314,7 +314,7 @@ def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
             if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
-            # The azimuth samples are numbered so that the taps are in the middle.
+            # The azimuth samples are numbered so that the filter taps are in the middle.
             first = 24 - count // 2
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own

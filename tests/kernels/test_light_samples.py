@@ -39,7 +39,7 @@ def test_factors_are_linear_between_angles(rng):
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
     share = y / (np.abs(x) + np.abs(y))
-    # A quarter turn covers two of eight columns. The first column follows the last one.
+    # The azimuth table has eight columns per turn, so a quarter turn covers two. The first column follows the last.
     columns = 2.0 * np.where(x < 0.0, 2.0 - share, share % 4.0)
     around = np.column_stack([energy, energy[:, 0]])
     by_column = np.array([[np.interp(c, np.arange(9), row) for row in around] for c in columns])
@@ -74,7 +74,7 @@ def test_a_lights_extent_adds_its_covariance(rng):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_rays(orthographic, rng):
-    """Compare with rays a small part of a pixel apart: where they meet the face, the light has different directions."""
+    """Compare with rays a small part of a pixel apart: where they meet the face, the light has another direction."""
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     place, eye = np.array([0.4, -0.3, 0.7]), np.array([1.5, 1.0, 2.0])

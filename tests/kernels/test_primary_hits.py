@@ -152,7 +152,7 @@ def test_perspective_pixel_centres():
     width, height = 8, 6
     got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
     away = got["to_view"].reshape(height, width, 3).astype(np.float64)
-    # Expected positions on the plane z = 1 behind the eye, in half heights: row 0 at the top, column 0 on the left.
+    # Expected positions of rays on the plane z = 1 behind the eye, in half heights of the picture: row 0 is at the top.
     place = -away[..., :2] / away[..., 2:]
     np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
     np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
@@ -182,7 +182,7 @@ def test_a_distant_eye_loses_no_precision(covers):
 
 
 def test_faces_leave_no_gap_where_they_meet():
-    # A vertex and four edges coincide with pixel centres, once viewed frontally and twice obliquely.
+    # A vertex and four edges of the mesh coincide with pixel centres, viewed once frontally and twice obliquely.
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
     mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
     surface = prepare_surface(mesh, tangents=[[1.0, 0.0, 0.0]] * 5)
@@ -191,7 +191,7 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-# The mesh named plane has two faces that extend far behind the eye.
+# The mesh named "plane" has two faces that extend far behind the eye.
 AROUND_THE_EYE = {
     "tube": (meshes.tube(segments_along=24, segments_around=12),
              View((0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50)),
@@ -229,8 +229,8 @@ def test_eyes_close_to_a_face_see_no_gap():
         assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
 
 
-# Meshes for refined pixels. Pixels at the border of the upper plate see two faces of the lower plate, some rays only
-# one. Distant faces are smaller than a pixel.
+# Meshes for refined pixels. At the border of the upper plate, some rays of a pixel hit it and others hit the lower
+# plate. In the distant mesh, faces are smaller than a pixel.
 CELLS = {
     "plates": (trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])]),
                View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)),
@@ -356,8 +356,8 @@ def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
 
 def test_shading_normals_are_tilted_to_a_hundredth():
     mesh = wall(size=2.0)
-    # The first normal is tilted away from a distant viewer on the right. The second points almost directly away from
-    # it.
+    # Two shading normals: one is tilted away from a distant viewer, and one points almost directly away from the
+    # viewer.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
         normals = np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
         surface = dataclasses.replace(prepare_surface(mesh), normals=normals)
@@ -392,10 +392,10 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
-    # The pixel centres coincide with texel centres.
+    # The view is chosen so that pixel centres coincide with texel centres.
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
-    # After a shift by half a texel, each pixel shows the mean of all four texels, also across the texture border.
+    # After a shift of the texture by half a texel, each pixel shows the mean of four texels, also across the border.
     mesh.visual.uv = mesh.visual.uv + np.array([0.25, 0.25])
     got = cast(prepare_surface(mesh), view)["base_colour"]
     np.testing.assert_allclose(got, 0.5, atol=1e-5)
@@ -404,7 +404,7 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
 
 
-# These options equal those of the package, for which Warp's headers are already compiled.
+# The compile options equal those of the package, for which Warp's headers are already compiled.
 wp.set_module_options(compile_options.options())
 
 
@@ -438,7 +438,7 @@ def test_smooth_shading_has_no_jagged_terminator():
     illuminated = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
     origins = got["shadow_origin"][hit]
     assert np.mean(shadowed(scene, origins[illuminated], direction)) < 0.005
-    # Points on the opposite half of the sphere are in its own shadow.
+    # Points on the half of a sphere opposite to the light are in its own shadow.
     dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
     assert np.all(shadowed(scene, origins[dark], direction))
 

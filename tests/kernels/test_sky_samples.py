@@ -42,7 +42,7 @@ def call_functions(
 
 @pytest.fixture(scope="module")
 def results():
-    """Return inputs and outputs of the kernel functions: a disc, rings of 4, 8 and 16 sectors, and 3 × 6 blocks."""
+    """Return inputs and outputs of the sky-sampling functions for a small table of random probabilities."""
     rng = np.random.default_rng(5)
     table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
     rings = np.array([0.2, 0.3, 0.5])
@@ -87,7 +87,7 @@ def test_cells_follow_a_morton_curve(results):
     indices = results[1]["indices"].reshape(128, 128)
     np.testing.assert_array_equal(np.sort(indices.ravel()), np.arange(COUNT))
     np.testing.assert_array_equal(indices[:4, :4], [[0, 1, 4, 5], [2, 3, 6, 7], [8, 9, 12, 13], [10, 11, 14, 15]])
-    # Each aligned square whose side is a power of 2 has consecutive indices.
+    # Along a Morton curve, each aligned square whose side is a power of 2 has consecutive indices.
     assert np.all(np.ptp(indices.reshape(16, 8, 16, 8), axis=(1, 3)) == 63)
 
 
@@ -101,7 +101,7 @@ def test_points_are_drawn_in_proportion_to_their_density(results):
         assert inside.mean() == pytest.approx(share, abs=2e-3)
         counts = np.bincount((turn[inside] * len(spokes)).astype(int), minlength=len(spokes))
         np.testing.assert_allclose(counts / inside.sum(), spokes, atol=3e-3)
-    # The mean of 1/density equals the area of the sampled disc. The mean of |(u, v)|²/density has a closed form, too.
+    # The mean of 1/density over samples is the area of the sampled disc, and the mean of |(u, v)|²/density is known.
     farthest = 0.25 * 3.0
     per_density = 1.0 / computed["uv_densities"]
     assert per_density.mean() == pytest.approx(math.pi * farthest**2, rel=0.01)

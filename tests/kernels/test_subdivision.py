@@ -75,7 +75,7 @@ def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
 
 
 def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
-    """Only tiles that were shaded last at the current level change their level. Other tiles are ignored."""
+    """Only tiles that were last shaded at the current level can change their level."""
     height, width, floor, tolerance, level, most = 7, 9, 0.5, 0.05, 3, 5
     shaded = rng.choice([2, 3], (height, width), p=[0.3, 0.7])
     scatter = rng.lognormal(-2.5, 1.5, (height, width)).astype(np.float32)
@@ -133,7 +133,7 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
 def test_levels_follow_from_second_differences(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
-    # Colours that change linearly along rows need no finer cells.
+    # Colours that change linearly along a row need no finer cells.
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
@@ -154,7 +154,7 @@ def test_levels_follow_from_second_differences(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # Level 1 suffices for pixels whose neighbours also belong to the linear part.
+    # Level 1 suffices for pixels whose neighbours also have linearly changing colours.
     assert np.all(levels[4:, :] == 1)
 
 
@@ -165,7 +165,7 @@ def test_each_pixel_of_all_threads_gets_a_lights_share_once(rng):
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
     wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
-    # The first and the last pixel are outside of the range of both threads.
+    # The first and the last pixel are outside of the ranges of both threads, so they must not change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)

@@ -57,7 +57,7 @@ class SpotLight(wd.PointLight):
         return [SpotLobes(part.lobes, self.axis)]
 
 
-# Axis of the tested spotlights, from the light into the scene. The code above is the complete spotlight.
+# Axis of the spotlights of all tests in this file, from the light into the scene.
 
 AXIS = (0.0, -0.8, -0.6)
 
@@ -66,7 +66,7 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     body, position = meshes.tube(segments_along=48, segments_around=24), (0.3, 1.7, 1.4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
     coherence = wd.Coherence(sigma_um=4.0)
-    # Both lights use the same table, because plans for darker directions differ within the tolerance.
+    # The point light and the spotlight use the same table, because plans for darker directions differ.
     plan = wd.plan(fingers, coherence=coherence, integration="table", tolerance=0.1)
     point, spot = (
         wd.shade(body, fingers, light, view, plan=plan, pigment=0.0, refine=False, layers=("depth",))
@@ -88,7 +88,7 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """A recording contains the spotlight's position and axis by value."""
+    """A recording of launches contains the spotlight's position and axis by value."""
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]

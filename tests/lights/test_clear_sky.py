@@ -35,7 +35,7 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
     sky = wd.Environment.clear_sky(3.0 * to_sun, sun=0.0, ground_albedo=0.3)
     luminance = sky.radiance_rgb.astype(np.float64) @ LUMINANCE
     polar = (np.arange(512) + 0.5) / 512.0 * math.pi
-    # Columns are ordered counter-clockwise as seen from above, and rotate with the sky.
+    # The columns of the map are ordered counter-clockwise as seen from above, and rotate with the sky.
     azimuth = ((np.arange(1024) + 0.5) / 512.0 - 1.0) * math.pi - math.radians(sky.rotation_deg)
     for row, column in ((3, 700), (100, 20), (250, 511), (200, 1023)):
         sine = math.sin(polar[row])
@@ -52,7 +52,7 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
 
 @pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
 def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
-    """The sun is a disc of 0.53°, and pixels are 0.35° wide. The sky's own glow adds 3 % to the extracted light."""
+    """The sun is a disc of 0.53° diameter; 3 % of the extracted light is the sky's own glow. Pixels are 0.35° wide."""
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)
     (sun,) = extract_suns(sky.radiance_rgb)[1]

@@ -51,7 +51,7 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
     lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobe()
     assert lobe.power == 3.0
     np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
-    # The standard deviation is half of the disc's radius, up to the difference between an angle and its sine.
+    # The standard deviation of a disc light is half of its radius, up to the difference between an angle and its sine.
     sizes = np.linalg.norm(lobe.deviations, axis=1)
     np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
 
@@ -80,7 +80,7 @@ def drawn_towards(diameter, *, normal, view, lobe):
 @pytest.mark.parametrize("diameter", [3.0, 60.0])
 @pytest.mark.parametrize("towards_mirror", [None, 0.4, 0.95])
 def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror):
-    """Weighted samples are uniform, also if some are drawn near a mirror direction at this share of the radius."""
+    """Weighted samples are uniform over a disc light, also if some are drawn near a mirror direction on the disc."""
     axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
     normal = view = -axis
     if towards_mirror is not None:
@@ -94,7 +94,7 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     assert np.all(cosines >= math.cos(radius) - 1e-6)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
-    # Weighted samples are uniform in the solid angle within a radius and in the azimuth.
+    # The weighted samples of a disc are uniform in solid angle and in azimuth.
     share = (1.0 - cosines) / (1.0 - math.cos(radius))
     around = np.arctan2(*(towards[inside, :3] @ orthonormal_pair(axis).T).T)
     count = len(towards)
@@ -115,7 +115,7 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
     errors = relative_errors(found.xyz[seen], exact.xyz[seen])
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
-    # A single directional light without an angular diameter gives a clearly different picture.
+    # A directional light without an angular diameter gives a clearly different picture from a disc light.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
     others = relative_errors(point.xyz[seen], exact.xyz[seen])
@@ -136,7 +136,7 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The renderer uses another table, for the whole hemisphere, so the colours differ slightly.
+    # The renderer uses a table for the whole hemisphere, so its colours differ slightly from those of ``shade``.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
@@ -149,7 +149,7 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # Only the pigment is compared, because it reflects all parts of the disc equally.
+    # Only the pigment is compared, because it reflects light from all parts of the disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
@@ -170,7 +170,7 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
 
 
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
-    """For a blazed grating, the table exceeds the tolerance for single directions, and a warning reports this."""
+    """For a blazed grating, the best table exceeds the tolerance for single directions, and a warning reports this."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
         image = wd.shade(wd.meshes.disc(), blazed, light, VIEW, coherence=SHORT, tolerance=3e-2, pigment=0.0)
@@ -203,25 +203,25 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
-    # The filters of these pixels are completely on the square.
+    # The pixel filters of the compared pixels are completely on the square.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
-    # At least three of these pixels are outside of the reflected disc.
+    # At least three of the compared pixels are outside of the reflected disc.
     assert np.count_nonzero(exact[:, 1] < 0.1 * exact[0, 1]) >= 3
-    # Each sample is a Gaussian, which blurs the rim slightly.
+    # Each sample of a disc light is a Gaussian, which blurs the rim of its reflection slightly.
     assert errors.max() < 0.6
     assert np.median(errors) < 0.05
 
 
 def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
-    """Where a flat surface reflects the centre of the disc, Y is the share of the disc within the window's lobe."""
+    """Where a flat surface reflects the centre of a disc light, Y is the share of the disc within the window's lobe."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
-    # Standard deviations: λ/(2√2πσ) of the lobe at each wavelength, and half of the angular radius for the light.
+    # Standard deviations of the lobe, λ/(2√2πσ), and of the light, half of its angular radius.
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
     lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2
     assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

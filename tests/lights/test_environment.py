@@ -56,7 +56,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
-    # All pixels have the same colour but different samples. Their mean leaves only the error of the table.
+    # All pixels have the same colour but different samples. Their mean has only the error of the table.
     found = found.mean(axis=(0, 1))
     # With dω cos θ = du dv, each direction of a grey sky adds ρ L dω 4πσ²/λ², with the spectrum of D65.
     step = 0.0125
@@ -124,7 +124,8 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
     found = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # The lobe is a Gaussian in (u, v), and dω cos θ = du dv. The integral over u is uniform in the angle of the light.
+    # The mirror's lobe is a Gaussian in (u, v), and dω cos θ = du dv. The sum has equal steps in the angle of the
+    # light.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0
@@ -228,14 +229,14 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     seen = wanted[..., 1] > 0.0
     assert seen.sum() > 60
     away = np.linalg.norm(below[seen] - wanted[seen], axis=1) / np.linalg.norm(wanted[seen], axis=1)
-    # The lights of the reference are 11° apart and completely visible or occluded, which limits its accuracy.
+    # The reference has point-like lights 11° apart, each completely visible or occluded, which limits its accuracy.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.09
 
 
 @pytest.mark.slow
 def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
-    # In this view, footprints are very elongated, and the horizon truncates some orders.
+    # In this view of a tube, footprints are very elongated, and the horizon truncates some orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]
@@ -243,7 +244,7 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # The noise of these sums is 2 %.
+    # The sums over directions have a noise of 2 %.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
@@ -253,13 +254,13 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
         away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # Where the error is above 0.1, the picture reports at least half of it.
+        # Where the true error is above 0.1, the error image reports at least half of it.
         assert (found.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 
 
 def test_no_sun_is_extracted_from_a_uniform_sky():
-    # Rounding makes means over a uniform region differ slightly from its value.
+    # Rounding makes means over a uniform region of the sky differ slightly from its radiance.
     sky = np.full((64, 128, 3), 0.7, dtype=np.float32)
     sky[:20] = 1.19
     assert not extract_suns(sky)[1]
@@ -323,7 +324,7 @@ def test_an_environment_caches_few_parts_and_its_copies_none():
 
 @pytest.mark.parametrize("light", ["sky", "disc"])
 def test_the_rays_of_a_pixel_share_its_samples(light, square):
-    """All cells of an unrefined pixel together draw as many directions as one ray, so their noise is not larger."""
+    """All cells of an unrefined pixel together have as many samples of the light as one ray, so noise stays equal."""
     flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
     lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
     if light == "sky":

@@ -64,12 +64,12 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
         assert image.xyz[1, 1, 1] == pytest.approx(seen, rel=1e-2)
-    # The pigment has the same falloff with distance.
+    # The pigment's brightness has the same falloff with distance from a point light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
     )
-    # Refinement is off, because two pictures could be refined differently.
+    # Refinement is off, because two pictures of different brightness could be refined differently.
     options = OPTIONS | {"refine": False}
     shown = [
         wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **(options | {"pigment": 100.0})).xyz[1, 1]

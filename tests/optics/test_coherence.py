@@ -59,7 +59,7 @@ def test_replicas_equal_the_sum_over_all_periods(small, rng, periods):
 def test_periods_at_and_near_resonances(small, turns_x, turns_y):
     scattering_vector = scattering_vector_at(small, turns_x, turns_y, 0.5)
     value = one(small, Coherence("replicas", periods=PERIODS), scattering_vector, 0.5)
-    # With half turns, four periods cancel to the rounding error of a sum of numbers of size 1.
+    # With half turns, four periods cancel up to the rounding error of a sum of numbers of size 1.
     assert value == pytest.approx(tiled_power(small, PERIODS, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
     if np.rint(turns_x) == turns_x and np.rint(turns_y) == turns_y:
         coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / 0.5 * small.heights_um))
@@ -123,7 +123,7 @@ def tangent_frame(to_light):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_spread_is_the_projected_source(theta):
-    """The spread is the covariance of the tangential part of directions with a round Gaussian distribution."""
+    """The spread of a source is the covariance of the tangential part of its directions."""
     to_light, s = inclined(theta), 1e-4
     first, second = tangent_frame(to_light)
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
@@ -163,7 +163,7 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
         coherence = Coherence("source", angular_diameter_deg=diameter)
         s, worst = coherence.spread, 0.0
         for (r, t), place in cases:
-            # The order sends light from this point of the source to this viewer.
+            # Direction to the viewer whom this order reaches from the chosen point of the source.
             origin = to_light + s * (place[0] * first + place[1] * second)
             origin /= np.linalg.norm(origin)
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])
@@ -174,7 +174,7 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # The error of the tangent plane is of first order in spread · tan θi, and of second order at normal incidence.
+    # The tangent plane has an error of first order in spread · tan θi, or of second order at normal incidence.
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]
@@ -203,10 +203,10 @@ def test_a_source_needs_its_direction(small):
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
 def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
-    """∫⟨|P|²⟩ du dv of a flat patch is Ω, or Ω cos θi for a source. With ``brdf_scale`` a mirror reflects all light."""
+    """For a flat patch, ∫⟨|P|²⟩ du dv = Ω, or Ω cos θi for a source. With ``brdf_scale`` a mirror reflects all."""
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # For replicas the integral covers one period of the spectrum, because sums over samples are periodic.
+    # For replicas the integral covers only one period of the spectrum, because sums over samples are periodic.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)

@@ -64,7 +64,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
 def test_uniform_quadratures(colour, geometric, illuminant, count):
-    """Samples have equal steps in 1/λ or equal ratios. For both, the colour of white equals the sum over 1 nm steps."""
+    """Quadratures have equal steps in 1/λ, or equal ratios. Both give white the colour of the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
     steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)
@@ -79,7 +79,7 @@ def test_flat_mirror_is_white(device):
 
 
 def test_a_linear_reflectance(colour):
-    """The quadrature is of sixth order in 1/λ. With few samples, negative weights go to their neighbours."""
+    """The quadrature is of sixth order in 1/λ. With few samples, negative weights are moved to neighbours."""
     rho = np.linspace(0.2, 0.9, 401)
     exact = one_nm_sum(colour, "D65", rho)
     for step, error in ((1, 1e-8), (5, 1e-8), (10, 1e-8), (25, 1e-7), (50, 1e-2)):
@@ -109,7 +109,8 @@ def test_orders_under_illuminants_with_narrow_lines(illuminant):
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # The counts are slightly smaller than those of upper bounds at tolerances of 1e-2, 1e-3 and 1e-4.
+    # The tested numbers of samples are slightly smaller than those of upper bounds at tolerances of 1e-2, 1e-3 and
+    # 1e-4.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 

@@ -36,12 +36,12 @@ def line_grating(levels, period_um):
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_third_orders_of_a_shallow_sine(rng, tolerance):
-    """The power of third orders scales as κ⁶. Grazing views have small κ, where float32 powers are inaccurate."""
+    """The power of third orders scales as κ⁶. At grazing views κ is small, and float32 powers are inaccurate."""
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)
     lights, views = np.repeat(lights, 2, axis=0)[:100], np.repeat(lights * [1.0, -1.0, 1.0], 2, axis=0)[:100]
-    # Two dark directions widen the range of κ.
+    # Two dark directions are added, which widen the range of κ.
     lights[-2:], views[-2:] = [0.076, 0.064, 0.995], [-0.345, 0.588, 0.732]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -82,7 +82,7 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """For Gaussian windows, both bandwidths scale as the inverse sixth root of the tolerance."""
+    """For Gaussian windows, the bandwidths of rate and height are proportional to tolerance^(−1/6)."""
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
     np.testing.assert_allclose(
@@ -92,8 +92,7 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicas, bandwidths count samples per order of the patch, and scale as the inverse fourth root of the
-    # tolerance.
+    # For replicas, bandwidths are samples per order of the patch, proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -121,7 +120,7 @@ def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengt
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # The predicted count includes one interval more than the set of wavelengths has.
+    # The predicted count has one interval more than the set of wavelengths.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 
@@ -139,7 +138,7 @@ def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """A patch with N periods has N lobes per order. Along the diagonal, lobes pass √2 times as fast."""
+    """A patch with N periods has N lobes per order. Along the diagonal, lobes are closer by a factor of √2."""
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(
         fingers, DirectionRange(1.9, rate, 0.1, 2.0), coherence=wd.Coherence("replicas", periods=(60, 9))

@@ -78,7 +78,7 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # The sufficient plan with the smallest bandwidth has the least cost, and the loop ends with it.
+        # The sufficient plan with the smallest bandwidth has the least cost.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -86,12 +86,12 @@ def exhaustive(trial, start, target):
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
-    """A validation error larger than the training error requires repairs of one or two steps."""
+    """If the validation error exceeds the training error, the plan is refined by one or two steps."""
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Bisections over 4, 9 and three times 13 steps evaluate at most 20 plans in total.
+    # Three searches over 13 steps and those over 4 and 9 steps evaluate at most 20 plans in total.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -152,7 +152,7 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """One term more costs less than one per cent more wavelengths."""
+    """Adding one term is cheaper than adding one per cent of the wavelengths."""
     plan = dataclasses.replace(start, terms=9, wavelengths=100, adaptive=False)
     replace = dataclasses.replace
     coordinates = [
@@ -178,7 +178,7 @@ def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_erro
 def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
     start, error, bright, predicted
 ):
-    """The factor is 1.6 if all directions were tried, else up to 2. The result is at least 0.1 times the tolerance."""
+    """The safety factor is 1.6 if all directions were tried, else up to 2. The result is at least tolerance/10."""
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
 
@@ -206,7 +206,7 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 
 @pytest.mark.parametrize("octaves", [0.0, 0.7, 2.5])
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
-    """The error scales as bandwidth⁻⁶. Doubling stops at half of the target; the search uses the other half."""
+    """The error scales as bandwidth⁻⁶. The bandwidth is doubled until the error is at most half of the target."""
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
         TARGET / 2.0 * (2.0**octaves * start.bandwidth_um[0] / plan.bandwidth_um[0]) ** 6
@@ -269,11 +269,12 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """With few bright directions, terms get a tenth of their budget, and the neighbourhood stays unchanged."""
+    """With few bright directions, terms get a tenth of their error budget, and the neighbourhood stays unchanged."""
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
-    # Expected step limits: 3 of 4 registers of terms, 8 factors of e up to a weight of 1e-5, and 12 quarter octaves.
+    # Largest numbers of steps: 3 of 4 registers of terms, 8 factors of e up to a weight of 1e-5, and 12 quarter
+    # octaves.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -34,7 +34,7 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # Neighbours fill an ellipse whose axes scale as the square root of the exponent.
+    # The neighbourhood is an ellipse, whose axes are proportional to the square root of the exponent.
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -55,7 +55,7 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_tables_spectrum_cost_as_many_terms_as_lie_within_the_radius_of_neighbours(fingers):
-    """The weight exp(−4π²σ²q²) falls to the least weight at a radius; this circle has one coefficient per 1/area."""
+    """Neighbours have a weight exp(−4π²σ²q²) of at least the least weight: a circle with one coefficient per 1/area."""
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [
         cost_model.table_multiply_adds(fingers, dataclasses.replace(plan, terms=terms, least_weight=math.exp(-n)))
@@ -78,11 +78,11 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
-    # The number of lines is twice the number of coefficients within a circle.
+    # The number of lines in a table is twice the number of coefficients within a circle.
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # Each line costs 150 multiply-adds, plus one per term at each of its 7 by 6 nodes: 336 for 8 more terms.
+    # Each line costs 150 multiply-adds, and one per term at each of its 42 nodes: 336 more for 8 additional terms.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
@@ -116,7 +116,7 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """If the plan has no number of basis functions, it is the number of terms rounded up to whole SIMD registers."""
+    """Without a given number, a table has as many basis functions of w as terms, in whole SIMD registers."""
     plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
     for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:
         sized = dataclasses.replace(plan, w_basis_size=size, terms=terms)

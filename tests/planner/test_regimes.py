@@ -27,7 +27,7 @@ class Case:
 
     @property
     def automatic(self):
-        """The error of the automatic plan. A warning or a refusal fails the test."""
+        """Error of the automatic plan. A warning or a refusal fails the test."""
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 
@@ -45,7 +45,7 @@ class Case:
         return self.error_of(rho @ weights)
 
 
-# Coherence windows: short ones need many neighbours. Under long ones, narrow orders fall between sampled wavelengths.
+# Regime of coherence windows: short ones need many neighbours; long ones have orders narrower than wavelength steps.
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_windows_that_are_too_long_are_refused_with_the_remedy(line):
         wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
 
 
-# Patch sizes: orders of large patches are too close for nine neighbours. Every patch needs more than 81 wavelengths.
+# Regime of patch sizes: orders of large patches are too close for 9 neighbours; all patches need over 81 wavelengths.
 
 
 @pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
@@ -100,7 +100,7 @@ def test_other_choices_break_over_patches():
     assert line.automatic <= TOLERANCE
 
 
-# Values of |(u, v)|: 81 wavelengths are too few far from the mirror direction, and one point per order close to it.
+# Regime of |(u, v)|: far from the mirror direction 81 wavelengths are too few; close to it, one point per order is.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])
@@ -116,7 +116,7 @@ def test_automatic_choice_over_scattering_vectors(uv):
         assert case.fixed_steps(5.0) > 0.1
 
 
-# Grazing directions: 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
+# Regime of grazing directions: 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
 
 
 @pytest.mark.parametrize("elevation", [0.1, 1.0, 10.0])
@@ -179,7 +179,7 @@ def test_a_source_that_grazes_beyond_reach_is_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# Pitch: aliasing cannot be detected by a reference on the same samples, so the test uses a closed form.
+# Regime of pitch: a reference on the same samples cannot detect aliasing, so the test uses a closed form.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
@@ -201,13 +201,13 @@ def test_pitches_around_their_limit():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
-    # The largest pitch without aliasing is 0.1 µm.
+    # The largest pitch without aliasing is 0.1 µm, so 16 samples suffice and 12 do not.
     for samples in (80, 20, 16):
         xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The result agrees with a reference on the same samples, although both are wrong by aliasing.
+        # The result equals a reference on the same samples, although both are wrong by aliasing.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
@@ -222,7 +222,7 @@ def test_pitches_around_their_limit():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_limit(seed, side):
-    """Beyond the Nyquist limit, coefficients repeat. If the window is between samples, their phases differ."""
+    """Beyond the Nyquist limit coefficients repeat, with other phases if the window is between samples."""
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
     arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0
@@ -231,7 +231,7 @@ def test_a_window_between_samples_close_to_the_limit(seed, side):
     assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
 
 
-# Replicated periods: near a resonance the published form loses all digits, as do sines of large arguments in float32.
+# Regime of replicas: near a resonance the published form loses all digits, as do float32 sines of large arguments.
 
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])

@@ -51,7 +51,7 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The directions of the other side are uniform in z.
+    # The directions of the unspecified side are uniform in z over the hemisphere.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -76,7 +76,7 @@ def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, sa
     count = 16_000.0 / (saving - 1.0)
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
-    # A search always starts if the bounds do not cover the call.
+    # A search always starts if the upper-bound plan does not cover the directions of the call.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 
@@ -89,7 +89,7 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """The alternative is the plan of a search: 1/2.6 of the bounds' cost, plus the cost of 16,000 directions."""
+    """A table is compared with a search: 1/2.6 of the bounds' cost, plus the cost of 16,000 directions."""
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
     bounded = wd.plan(fingers, at_angle(0.0), at_angle(30.0), coherence=settings.coherence, tolerance=1e-1)
@@ -152,7 +152,7 @@ def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_hal
 def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """Tables for footprint means may have 1.6 times the error, because points have larger errors than means."""
+    """Tables for footprint means may have 1.6 times the error, because means have smaller errors than points."""
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
     upper = bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -171,7 +171,7 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # Without light in the call the bounds are used, unless they do not cover its order rates.
+    # If all directions are dark, the upper-bound plan is used, unless it does not cover the call's order rates.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)

@@ -9,7 +9,7 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Seed of the tested calls, and their indices. Their references are cheap; the sweep also has large calls.
+# Seed and indices of the tested calls, whose references are cheap. ``tolerance_sweep`` also has large calls.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -25,7 +25,7 @@ def check(case: Configuration, count: int = 400) -> None:
     """Compare a call with the reference on a subset of its directions; in large calls, not those that the plan used."""
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
-    # The directions are sorted by brightness, the brightest first.
+    # The chosen directions are sorted by brightness, the brightest first.
     places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[places], weights[places]
     figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
@@ -45,7 +45,7 @@ def test_tolerance_is_met(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
 
 
-# The cases cover both diagonals and both tolerances.
+# The two cases cover both diagonals and both tolerances.
 @pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
 def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
@@ -82,7 +82,7 @@ def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """A sine reflects no light between its orders. The few directions at an order must be accurate."""
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # Most directions lie across the grating, and a few near its first order.
+    # Most directions are across the grating and dark; a few are near its first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -102,7 +102,7 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    # For the whole hemisphere, tight tolerances need several seconds each, so they are skipped.
+    # For the whole hemisphere, plans with tight tolerances need several seconds each, so they are skipped.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
     plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
     costs = [plan.multiply_adds for plan in plans]
@@ -129,7 +129,7 @@ def test_the_figure_includes_errors_of_one_per_cent_of_the_directions_and_of_the
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """Repairs once had no effect on the smallest set of wavelengths. The error was three times the tolerance."""
+    """Repairs of a plan once had no effect on the smallest set of wavelengths, and its error was 3 × tolerance."""
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32
     assert plan.error < 1e-2

@@ -47,7 +47,7 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """Each of the 60 directions has more than 0.5 % of the weight. The floor is 0.001 of the largest luminance."""
+    """Each of the 60 directions has more than 0.5 % of the weight, so the percentile of errors is their maximum."""
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
     largest, of_half = [], []
@@ -66,7 +66,7 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # Directions whose order rate exceeds the range of the reference are not compared with it.
+    # Directions with order rates beyond the range of the reference are not compared with it.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -113,7 +113,7 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_that_of_bright_or_of_dim_directions():
-    """The result is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
+    """The worst percentile is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
     group = SimpleNamespace(weights=np.ones(2000), above=above)
@@ -144,7 +144,7 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """The count uses the illuminant with the fewest bright directions, once per luminance floor."""
+    """The number of bright directions is that of the illuminant with the fewest, once per luminance floor."""
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
     group.above = above
@@ -202,6 +202,6 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # All directions are candidates, so there is only one luminance floor.
+    # In a call of this size all directions are candidates, so there is only one luminance floor.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -39,11 +39,11 @@ def test_few_candidates_are_all_validation_directions(count, rng):
 
 
 def test_directions_with_a_large_measure_are_drawn_only_once_and_other_directions_replace_repeats(rng):
-    """Each direction has a weight of its original weight divided by the probability that it is drawn."""
+    """The weight of a drawn direction is its original weight divided by the probability that it is drawn."""
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
-    # 100 draws certainly include the first ten directions. Among the other 990, a measure of 50 is certain, too.
+    # Among 100 draws, the first ten directions and the one with a measure of 50 are always included.
     measure[:10], measure[10] = 1e3, 50.0
     drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
     index = {tuple(light): k for k, light in enumerate(lights)}

@@ -23,7 +23,7 @@ def rough():
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "replicas"])
 def test_absolute_brdf_is_reciprocal(rough, kind, rng):
-    """The source coherence is excluded, because it depends on the light's extent and the viewer has none."""
+    """The coherence model "source" is excluded: the light has an extent and the viewer has none."""
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-4}
     there = wd.brdf(rough, lights, views, [450.0, 600.0], **options)
@@ -68,7 +68,7 @@ def kernel_gain(lights, views, normal, masking, device):
 
 
 def power_width(coherence):
-    """Return the standard deviation in 1/µm of the Gaussian over which a coefficient's power is spread."""
+    """Return the standard deviation in 1/µm of the Gaussian over which the power of a coefficient is spread."""
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
@@ -77,7 +77,7 @@ def power_width(coherence):
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
     """The kernel's gain C·M equals the formula written with angles, up to 89.9° and at the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
-    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror directions
+    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror direction
     views[50:100] = lights[50:100]  # retro-reflection
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
@@ -118,10 +118,10 @@ def test_powers_do_not_depend_on_the_position(rough, kind, rng):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
-    """A rotation by 90° maps (x, y) to (−y, x). An odd patch is rotated about its central sample."""
+    """Quarter turns map (x, y) to (−y, x), about the central sample of a patch with an odd number of samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
     heightfield = wd.HeightField(heights, 0.08)
-    # Rows run along +y, so a rotation from x to y is a negative rotation of ``numpy.rot90``.
+    # Rows of a height field run along +y, so a quarter turn from x to y is ``numpy.rot90`` with −1.
     rotated = wd.HeightField(np.rot90(heights, -turns), 0.08)
     rotation = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
@@ -217,7 +217,7 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     mirrored = at_angle(-10.0 * cycles)
     power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
-    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all of the power: only C remains
+    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power: only the geometry factor C remains
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -266,9 +266,9 @@ def test_no_directions_are_no_work(rough, method):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
-    # The count exceeds several slices of 512 directions, which are distributed over the threads.
+    # The directions fill several slices of 512, which are distributed over the threads.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
-    # A grazing source requires thousands of wavelengths per direction, so its directions stay away from the horizon.
+    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-2 if kind == "averaged" else 0.1}

@@ -174,17 +174,18 @@ def test_a_constant_height_changes_nothing(data):
 def test_mirroring_surface_and_directions_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # The map x → −x keeps the first sample in place.
+    # Mirroring x → −x keeps the first sample in place.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
-        # The window is centred on a sample. Otherwise coefficients beyond the Nyquist limit differ in phase.
+        # The window is centred on a sample, because otherwise coefficients beyond the Nyquist limit differ in phase.
         centre = tuple((n // 3) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True))
         coherence = wd.Coherence("centred", coherence.sigma_um, centre_um=centre)
         mirrored = wd.Coherence("centred", coherence.sigma_um, centre_um=(centre[0], -centre[1]))
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # With replicas, whole periods are mirrored. The shift by one sample changes only the phase.
+        # Replicas consist of whole periods, so the mirrored patch begins with another sample, which changes only the
+        # phase.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

@@ -37,7 +37,7 @@ def sphere():
 
 
 def pairs():
-    """Return all pairs of these vectors, including opposite, mirrored and equal ones."""
+    """Return all pairs of the unit vectors, including opposite, mirrored and equal ones."""
     one = sphere()
     lights, views = (np.array(each) for each in zip(*itertools.product(one, one), strict=True))
     return np.concatenate([lights, one, one]), np.concatenate([views, -one, one * [-1.0, -1.0, 1.0]])
@@ -82,7 +82,7 @@ def test_absolute_values_at_extreme_wavelengths(rough, name, nanometres):
 def test_colours(rough, name, method):
     lights, views = pairs()
     few = slice(None, None, 11)
-    # A grazing source requires thousands of wavelengths per direction, so its directions stay away from the horizon.
+    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
     if COHERENCES[name].kind == "source":
         up = np.abs(lights[:, 2]) > 0.08
         lights, views = lights[up], views[up]
@@ -99,7 +99,7 @@ def test_colours(rough, name, method):
     + [(name, "auto") for name in COHERENCES],
 )
 def test_a_deep_surface(name, method):
-    """The height range is 5 µm. Taylor series are used there only on request, and overflow in float32."""
+    """With a height range of 5 µm, Taylor series are computed only on request, and float32 overflows."""
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())
     rho = best_effort(

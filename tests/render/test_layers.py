@@ -30,7 +30,7 @@ def box(*, size=1.0, normals=True):
     corners = body.faces.ravel()
     facets = np.repeat(body.face_normals, 3, axis=0)
     vertices = body.vertices[corners]
-    # On each face, u and v are the two coordinate axes perpendicular to its normal.
+    # On each face of the cube, u and v are the two coordinate axes perpendicular to the face normal.
     uvs = np.array([v[np.abs(n) < 0.5] for v, n in zip(vertices, facets, strict=True)])
     return trimesh.Trimesh(
         vertices, np.arange(len(corners)).reshape(-1, 3), vertex_normals=facets if normals else None,

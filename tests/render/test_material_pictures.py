@@ -18,7 +18,7 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
-    """A table includes R(θd, λ) in its integral over λ, because cos θd = |(u, v, w)|/2."""
+    """A table includes the reflectance R(θd, λ) in its integral over λ, because cos θd = |(u, v, w)|/2."""
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
     plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
@@ -43,7 +43,7 @@ def test_a_material_without_reflection_is_black_with_a_table(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", integration="table")
-    # The table's polynomials in cos θd leave rounding errors instead of exact zeros.
+    # The polynomials in cos θd of a table leave rounding errors instead of exact zeros.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
 

@@ -84,7 +84,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the relative errors of inner pixels, as ``tolerance`` defines them."""
+    """Return the errors of inner pixels, relative in the same way as ``tolerance``."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -102,7 +102,7 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
 
 
 def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
-    """The comparison includes pixels with one ray and refined pixels."""
+    """Pixels with one ray and refined pixels are compared together with their reported errors."""
     mesh, camera, exact = truth
     true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
@@ -119,7 +119,7 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """The test includes coherence models without a table for footprint means, whose pixels are sums over points."""
+    """Pixels summed over points, for coherence models without a table for footprint means, are tested, too."""
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
         found = [
@@ -171,7 +171,7 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """If no table supports means, pixels with footprints are computed from many points."""
+    """If no table supports footprint means, pixels with footprints are computed from many points."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
@@ -236,7 +236,7 @@ def test_pictures_do_not_depend_on_threads_or_parts(fingers, table, monkeypatch)
         found = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
         np.testing.assert_array_equal(found.xyz, expected.xyz)
         np.testing.assert_array_equal(found.error, expected.error)
-    # With these limits the picture is rendered in parts, as if little memory were free.
+    # Small limits make the renderer split the picture into parts, as if little memory were free.
     monkeypatch.setattr(pixel_filter, "_MOST_RASTERIZED", 1024)
     found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
@@ -252,8 +252,7 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # A picture of one light is refined to the tolerance of this light. With two lights, the sum must meet the
-    # tolerance.
+    # A single light is refined to its own tolerance. With two lights, only their sum must meet the tolerance.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -275,7 +274,7 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
         exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
-        # A sum of Gaussians with σ = s · spacing has ripples of 2 exp(−2π²s²). The truncated filter adds an error.
+        # A sum of Gaussians of width s · spacing has ripples of 2 exp(−2π²s²). Truncating the filter adds an error.
         ripples = 2.0 * np.exp(-2.0 * (np.pi * deviation * 2**level) ** 2)
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 

@@ -25,7 +25,7 @@ from warpdiff.render import device_tiles, renderer
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
-# Number of pictures that each of two threads renders concurrently.
+# Number of pictures that each of two threads renders at the same time.
 TURNS = endurance.count(20, 150)
 
 
@@ -77,7 +77,7 @@ def recorded(monkeypatch):
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
-    # Recorded launches have the largest possible size. On a GPU the threads without work end immediately.
+    # Recorded launches have the largest possible size. On a GPU, threads without work end immediately.
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
@@ -143,7 +143,7 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(found.mask, other.mask)
-    # The coverage comes from the finest cells, or from the last light if levels are equal, so it can differ slightly.
+    # Coverage is that of the finest cells, or of the last light if levels are equal, so the order of lights matters.
     np.testing.assert_allclose(found.coverage, other.coverage, atol=0.01)
 
 
@@ -316,7 +316,7 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is large enough that shares of its pixels are meaningful.
+    # The test picture is large enough for meaningful shares of pixels.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
@@ -355,7 +355,7 @@ def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng
     )  # fmt: skip
     wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
-    # The number of brighter pixels is 1 % of all illuminated pixels, rounded down.
+    # One per cent of the illuminated pixels, rounded down, is brighter than the 99th percentile.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
     assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)
 

@@ -114,10 +114,10 @@ def test_lights_add(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # The same plan is used for all pictures, because the number of wavelengths depends on all lights of a call.
+    # All pictures use the same plan, because the number of wavelengths depends on all lights of a call.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # A picture of one light is refined to the tolerance of this light. With several, their sum must meet the tolerance.
+    # A single light is refined to its own tolerance. With several lights, only their sum must meet the tolerance.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -217,7 +217,7 @@ def test_the_background_is_black_and_unmasked(snake, fingers):
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
-    # The picture has more pixels than one slice of the work.
+    # The test picture has more pixels than one slice of the work.
     view = snake_view(96, 72)
     options = {"coherence": SHORT, "samples_per_pixel": samples}
     first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)
@@ -277,7 +277,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
     truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
-    # The absolute tolerance is the rounding error of a float32 sum, relative to the much brighter diffraction colour.
+    # The pigment is a small difference of float32 sums, so the rounding error of the brighter colour is allowed.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
     error = reference.picture_error(whole.reshape(-1, 3), truth[1])
@@ -360,7 +360,7 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
-    # The float64 reference gives the same rays and shadows. It uses a flat field, because only shadows are compared.
+    # The float64 reference gives rays and shadows. It uses a flat field, because colours are not compared.
     body = reference.Body.of(prepare_surface(mesh))
     truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
@@ -384,7 +384,7 @@ def test_no_seam_along_the_belly(fingers):
     step = np.abs(np.diff(logarithm, axis=1)).mean(axis=0)
     seam = 23 - 12
     assert step[seam] <= 1.2 * step[seam - 4 : seam + 5].max()
-    # Second differences show no kink of the tangent at the seam, which first differences could hide.
+    # Second differences of the colours are compared, too, because they show a kink that first differences hide.
     bend = np.abs(np.diff(logarithm, 2, axis=1)).mean(axis=0)
     assert bend[seam - 1 : seam + 1].max() <= 1.5 * bend.max(initial=0.0, where=np.arange(bend.size) // 2 != seam // 2)
 

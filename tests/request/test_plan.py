@@ -89,7 +89,7 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors can be smaller for the larger tolerance, if both plans are as small as possible.
+        # Measured errors may be smaller at the larger tolerance, if both plans are as small as possible.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -139,7 +139,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    # The first line says whether results can be trusted.
+    # The first line of a plan's text says whether results can be trusted.
     assert text.splitlines()[0] == (
         f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
         "validation directions."
@@ -207,7 +207,7 @@ def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
-    # The reference is the same series in float64, over all coefficients of the patch.
+    # The reference for five terms is the same series in float64, over all coefficients of the patch.
     block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
     expansion = EXPANSIONS[plan.method]
     series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)
@@ -270,7 +270,7 @@ def test_plans_are_values(rough):
         one.terms = 3
 
 
-# The plan also warns that scalar theory is invalid for so deep a surface, which is ignored here.
+# The warning that scalar theory is invalid for so deep a surface is ignored.
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
 @pytest.mark.parametrize(
     ("directions", "how"),
@@ -291,13 +291,13 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
                 result = call(heightfield, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
-    # The direct sum uses no series, so it has no such limit.
+    # The direct sum uses no series, so any height range can be computed.
     assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
 
 
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """The largest number of terms leaves an amplitude error of 3e-3, a thousand times too large for weak orders."""
+    """With the most terms, amplitudes have an error of 3e-3, which is 1000 times larger for weak orders."""
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)
@@ -366,7 +366,7 @@ def test_windows_too_long_for_a_colour_are_refused(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """No order leaves the plane of incidence, and no aliasing is reported, however coarse the pitch along y is."""
+    """A field of one row has no orders outside of the plane of incidence, and no aliasing, for any pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -415,7 +415,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
     assert len(builds) == 1
-    # Equal heights in another object are another height field.
+    # A height field with equal heights in another object has its own tables.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
     assert len(builds) == 2
 
@@ -464,7 +464,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # So few directions need no search, so the plan consists of the upper bounds.
+    # A call with so few directions has no search, so the plan consists of upper bounds.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive

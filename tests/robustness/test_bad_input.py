@@ -17,7 +17,7 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# This plan is for a single direction, so that it needs no search: every test process imports this file.
+# The plan is for a single direction, which needs no search, because every test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -218,7 +218,7 @@ def shade(mesh=MESH, light=LIGHT, view=VIEW, **options):
 
 
 def text(path):
-    """Write a text file whose suffix names another format, and return its path."""
+    """Write a text file under a name with the suffix of another format, and return its path."""
     path.write_text("this is a line of prose\n")
     return path
 
@@ -262,7 +262,7 @@ def test_options(function, option, value, error, message):
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
 def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
-    """The message lists all legal methods, without the requested one."""
+    """The message lists all legal methods except the requested one."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)

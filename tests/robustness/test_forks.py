@@ -96,7 +96,7 @@ def save_on_both_sides_of_forks(folder):
 
 
 def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
-    """Run in a separate process, because in this one other tests may have started OpenEXR's threads."""
+    """The test runs in a separate process, because other tests may have started OpenEXR's threads in this one."""
     code = "import sys, test_forks as t; t.save_on_both_sides_of_forks(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
@@ -228,7 +228,7 @@ assert t.in_child(used) == 0
 
 
 def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
-    """Without waiting, locks of other threads, such as OpenColorIO's, would stay locked in the child forever."""
+    """A fork waits for other threads. Otherwise their locks, such as OpenColorIO's, stay locked in the child."""
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 
@@ -298,7 +298,7 @@ assert counts == [1], counts
     [({}, None), ({"_module_locks": None}, object()), ({"_module_locks": {"warp": object()}}, None)],
 )
 def test_forks_work_without_the_private_locks_of_python_and_warp(locks, lock, monkeypatch):
-    """These locks are private, and other versions may lack them. Forks then do not wait for them."""
+    """Private locks of Python and Warp may not exist in other versions. Forks then do not wait for them."""
     expected = picture()
     private = {name: value for name, value in vars(importlib._bootstrap).items() if name != "_module_locks"}
     monkeypatch.setattr(importlib, "_bootstrap", types.SimpleNamespace(**private, **locks))

@@ -51,7 +51,7 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     # With little free memory, large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # Plans for a short coherence window need several seconds less.
+    # A short coherence window makes planning several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))
@@ -79,7 +79,7 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     def attempt(data):
         for _ in range(3):
             fuzzed = [text for action in data.draw(one_or_two) for text in written(action, data.draw)]
-            # Hypothesis continues to draw examples after the time limit, so they are skipped here.
+            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
             if seconds_left():
                 tries.number += 1
                 end(fuzzed)

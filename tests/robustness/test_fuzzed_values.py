@@ -139,7 +139,7 @@ def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
         # Three calls per example save time, because Hypothesis needs longer for an example than most calls.
         for _ in range(3):
             fuzzed = {key: data.draw(strategies[key]) for key in data.draw(one_or_two)}
-            # Hypothesis continues to draw examples after the time limit, so they are skipped here.
+            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
             if seconds_left():
                 tries.number += 1
                 check(name, fuzzed)

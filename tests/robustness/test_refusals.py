@@ -137,7 +137,7 @@ COMMANDS = {
     "render": ["disc", *FILES, "-o", "a.png"], "sequence": ["disc", *FILES, "-o", "frames"],
     "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES, "view": [], "demo": [],
 }  # fmt: skip
-# Valid arguments for flags that exclude the default arguments of their command or need further ones.
+# Replaced arguments of a command, for flags that exclude its default arguments or need others.
 INSTEAD = {"extent_um": FILES[:2], "height_range_um": ["--heightfield", "integers.npy", *FILES[2:]]}
 # Functions whose options are flags of a single command. ``OWNERS`` have the options that all commands share.
 FUNCTIONS = {"sequence": wd.sequence, "brdf": wd.reflectance_map, "export-html": wd.export_html}
@@ -165,14 +165,14 @@ def command_line_rows() -> Iterator[Row]:
             base = [text for text in arguments if text not in FILES] + INSTEAD[key] if key in INSTEAD else arguments
             for value, rule in bad_values(option):
                 texts = [str(part) for part in (value if isinstance(value, tuple) else [value])]
-                # The shell passes only text, and each flag has a fixed number of values, so these errors cannot occur.
+                # Shell arguments are texts, and each flag has a fixed number of values, so some errors cannot occur.
                 if (option.kind == "choices" and isinstance(value, str)) or len(texts) == option.length + 1 > 1:
                     continue
                 line = [name, *base, *more, flag, *texts]
                 yield Row("command line", " ".join(line), flag, rule, functools.partial(error_of_command, line))
 
 
-# Arguments for the pictures of the rules below. ``…`` in a command line stands for ``DISC``.
+# Arguments of the pictures in the rules. ``…`` in a command line stands for ``DISC``.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
 SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
 Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
@@ -259,7 +259,7 @@ RULES = [
     (lambda: BARE["Image"].save("no/a.png"), "path: the folder 'no' does not exist; create it first",
      "render disc --heightfield cd -o no/a.png", "--output: the folder 'no' does not exist; create it first"),
 ]  # fmt: skip
-# Rules that only the command line has.
+# Expected messages of rules that only the command line has.
 LINES = {
     "render … --film Au 100": "--film requires --material: give both",
     "render … --material Au --film 1.5 x": "--film must be a material and a number of nanometres, got 'x'",
@@ -398,7 +398,7 @@ def test_refusals_name_the_users_word(row):
     assert "\n" not in message.strip()
     assert not re.search("[\ue000-\uf8ff]", message)
     if row.front != "python":
-        # Texts quoted from the user and lists of valid parameters may contain such words.
+        # Texts quoted from the user and lists of valid parameters may contain words of Python.
         prose = re.sub(r"'[^']*'|but its parameters are .*", "", message)
         assert not {word for word in PYTHON_ONLY.findall(prose) if word not in row.request}
 

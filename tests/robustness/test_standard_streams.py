@@ -47,7 +47,8 @@ def test_streams_that_cannot_be_written_to(command, code, error, tmp_path):
 
 
 def test_no_file_gets_the_number_of_a_closed_stream(tmp_path):
-    # Otherwise the next opened file would get descriptor 2, and error messages would be written into it.
+    # If descriptor 2 stayed closed, the next opened file would get it, and error messages would be written into the
+    # file.
     look = "import os; from warpdiff.apps.process import prepare_streams; prepare_streams(); "
     look += "print(os.open('a', os.O_CREAT | os.O_WRONLY))"
     assert in_shell(f'"$PYTHON" -c "{look}" 2>&- <&-', tmp_path)[1] == "3\n"

@@ -45,7 +45,7 @@ def test_straight_tube(tangent):
     np.testing.assert_allclose(surface.normals[body], outward, atol=1e-5)
     along = np.array([1.0, 0.0, 0.0])
     expected = np.cross(along, outward) if tangent == "around" else np.broadcast_to(along, outward.shape)
-    # Tangents "around" the tube and the v axis along it form a right-handed frame with the normal.
+    # Tangents around the tube and the v axis along the tube form a right-handed frame with the normal.
     np.testing.assert_allclose(surface.tangents[body], expected, atol=1e-3)
     np.testing.assert_array_equal(surface.handedness, 1.0)
 

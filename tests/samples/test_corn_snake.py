@@ -61,7 +61,7 @@ def test_the_default_is_light():
     corners = mesh.vertices[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    # Kernels use float32, in which triangles lower than 1e-7 would lose their area.
+    # In float32, triangles with a height below 1e-7 would lose their area.
     assert np.min(twice_area / sides.max(axis=1)) > 5e-6
     cosine = np.einsum("ij,ikj->ik", face_normals(corners), mesh.vertex_normals[mesh.faces])
     assert np.percentile(degrees(cosine), 99.0) < 15.0
@@ -71,16 +71,16 @@ def test_the_default_is_light():
 def test_faces_have_areas_and_normals_near_their_own(snake, surface):
     assert len(surface.faces) == len(snake.faces)
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
-    # This includes free edges of scales, where surfaces with different directions meet at one position.
+    # Faces at the free edges of scales are included, where surfaces with different directions meet.
     cosine = np.einsum("ij,ikj->ik", face_normals(surface.vertices[surface.faces]), surface.normals[surface.faces])
     assert np.percentile(degrees(cosine), 99.0) < 30.0
     np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
 
 
 def test_the_seam_is_invisible(surface):
-    # Under free edges several vertices have the same position, each with its twin on the other side. The snout and the
-    # tip
-    # of the tail are excluded.
+    # At the texture seam, each vertex has a twin with the same position and normal. The snout and the tip of the tail
+    # are
+    # excluded.
     left, right = (
         np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
     )
@@ -169,7 +169,7 @@ def test_the_pattern_depends_on_the_seed_alone(snake):
 
 def test_both_orientations_of_the_texture_paint_the_same_snake(surface):
     along = prepare_surface(meshes.snake(**SMALL, tangent="along"))
-    # Both orientations are right-handed: (u, v) becomes (v, 1 − u).
+    # Both orientations of the texture are right-handed: (u, v) becomes (v, 1 − u).
     np.testing.assert_array_equal(along.vertices, surface.vertices)
     np.testing.assert_allclose(along.uvs, surface.uvs[:, ::-1] * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
     np.testing.assert_array_equal(along.texture, surface.texture[::-1].transpose(1, 0, 2))

@@ -94,7 +94,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     ball.apply_translation((5, 6, 7))
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
-    # The sphere around the bounding box has a radius of √3 times the ball's. It touches the narrower pair of edges.
+    # The sphere around the bounding box has √3 times the ball's radius, and touches the narrower pair of picture edges.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
@@ -109,7 +109,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
 @pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
 @pytest.mark.parametrize("target", [None, (5.5, 6.0, 7.5)])
 def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
-    """The mesh is 4 % of the picture away from one pair of edges, or with a target from one edge, and not closer."""
+    """The margin between mesh and picture edge is 4 % at one pair of edges, or with a target at one edge."""
     tube = wd.meshes.tube()
     tube.apply_transform(trimesh.transformations.translation_matrix((5, 6, 7)))
     view = View.fit(tube, direction, target=target, **size)
@@ -152,7 +152,7 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
         assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0
     view = View.fit(box, up=(0, 0, 2))
     np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
-    # Colours and textures of the mesh do not matter, even damaged ones.
+    # Framing ignores colours and textures of the mesh, even damaged ones.
     box.visual.face_colors = np.full((12, 3), 200)
     assert View.fit(box, turning=True) == centre
 

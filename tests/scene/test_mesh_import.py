@@ -94,7 +94,7 @@ def test_a_mesh_changed_in_place_has_another_surface():
     visual = TextureVisuals(uv=SQUARE[:, :2].copy(), image=texture)
     mesh = trimesh.Trimesh(SQUARE.copy(), SQUARE_FACES, visual=visual, process=False, vertex_normals=upwards)
     first = prepare_surface(mesh)
-    # This change of the vertices bypasses the tracking of changes in trimesh.
+    # The vertices are changed in a way that trimesh's own tracking of changes does not notice.
     np.asarray(mesh.vertices).view(np.ndarray)[0] += 0.1
     moved = prepare_surface(mesh)
     assert not np.array_equal(moved.vertices, first.vertices)
@@ -114,7 +114,7 @@ def test_a_single_tangent_applies_to_all_vertices():
 
 
 def test_normals_stay_on_the_side_of_their_faces_under_an_overhang():
-    # At this position, two larger corners face down and one faces up.
+    # At a shared position, two larger corners face down and one faces up.
     x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
     corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
@@ -138,7 +138,7 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
         facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facets /= np.linalg.norm(facets, axis=1, keepdims=True)
         np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(facets[:, None], 3, axis=1), atol=1e-3)
-    # Meshes with separate triangles from other sources are smooth, as are meshes with other vertex normals.
+    # Separate triangles that are not from an STL file are smooth, as are meshes with other vertex normals.
     loose = trimesh.Trimesh(opened.vertices, opened.faces, process=False)
     np.testing.assert_allclose(prepare_surface(loose, tangents=tangents).normals, loose.vertices, atol=2e-2)
     opened.vertex_normals = loose.vertices
@@ -356,7 +356,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     after = prepare_surface(moved)
     world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
     np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
-    # Rounding positions to float32 rotates an edge by this much.
+    # Rounding positions to float32 rotates the edges of faces by about 5e-5.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
     for name in ("faces", "handedness", "uvs", "is_convex"):
@@ -383,7 +383,7 @@ def nearly_convex(fault):
     """Return a mesh that only a few faces distinguish from a convex one."""
     if fault == "flipped":
         box = trimesh.creation.box().subdivide().subdivide()
-        # The flipped face is within a side, where all neighbours are in the same plane.
+        # One face within a side of the box is flipped, where all neighbours are in the same plane.
         within = np.flatnonzero(np.all(np.count_nonzero(np.abs(box.triangles) == 0.5, axis=2) == 1, axis=1))
         faces = np.array(box.faces)
         faces[within[1]] = faces[within[1], ::-1]

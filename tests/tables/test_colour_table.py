@@ -56,7 +56,7 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The colour curves have kinks, so splines converge only with first order.
+    # The colour curves have kinks, so splines converge with first order.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -76,9 +76,9 @@ def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # a moderate number of neighbours
-        ((64, 64), (9.0, 9.0), 2.5),  # more rows and columns than a SIMD vector
-        ((5, 3), (2.0, 1.6), 2.0),  # a small patch with periodic coefficients
+        ((40, 44), (6.0, 5.0), 22.0),  # case of a moderate number of neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # case of more rows and columns than a SIMD vector
+        ((5, 3), (2.0, 1.6), 2.0),  # case of a small patch with periodic coefficients
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
@@ -131,7 +131,7 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # The kernel excludes neighbours with a weight below exp(−20).
+    # The kernel ignores neighbours with a weight below exp(−20).
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -151,7 +151,7 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
     rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
     starts = nodes * (np.cumsum(rays) - rays)
     if octaves == 2:
-        # The memory behind the last octave belongs to other data, so it must not be read.
+        # The memory behind the last octave belongs to other data and must not be read, so it is NaN.
         rows[starts[2] :] = np.nan
     matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
@@ -246,7 +246,7 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # The spectrum is linear in ln λ, so its integral under each spline equals its value at the spline's node.
+    # For a spectrum that is linear in ln λ, the integral under each spline equals the value at its node.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)

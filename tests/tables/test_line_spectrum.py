@@ -56,7 +56,7 @@ def test_more_rings_have_smaller_errors(fingers, plan, rng):
 
 @pytest.mark.parametrize("incidence_deg", [0.0, 50.0])
 def test_a_mirror_shows_the_source(incidence_deg):
-    """Inside and outside of the table's inner radius, the colour is white with the brightness exp(−½ dᵀΣs⁻¹d)."""
+    """A mirror shows a white source with brightness exp(−½ dᵀΣs⁻¹d), inside and outside of the table's inner radius."""
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, coherence=SOURCE, method="low-rank")
     tabled = dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=2.0, least_weight=1e-8)
@@ -83,7 +83,7 @@ def sine():
      *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
 )  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
-    """The first order of a sine disperses along x. It is measured across, for several planes of incidence."""
+    """The first order of a sine, which disperses along x, is measured along v for several planes of incidence."""
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     theta, phi = np.radians(incidence_deg), np.radians(angle_deg)
     to_light = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
@@ -91,7 +91,7 @@ def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
     v = source.spread * np.linspace(-2.0, 2.0, 17)
     views = np.stack([np.full(17, u - to_light[0]), v - to_light[1], np.zeros(17)], axis=1)
     views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
-    # Amplitudes of the orders follow from their definition, in steps of 0.1 nm.
+    # The amplitudes of the orders are computed from their definition, in steps of 0.1 nm.
     nm = np.linspace(380.0, 780.0, 4001)
     products = np.stack([np.interp(nm, np.arange(380, 781), c) for c in colorimetry.colour_products().T], axis=1) * 0.1
     exact = []
@@ -116,7 +116,7 @@ def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
 
 
 def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, rng):
-    """Near the mirror direction, and under a grazing source narrower than the lines, results equal sampling."""
+    """Near the mirror direction, and under a grazing source narrower than the lines, directions are sampled."""
     to_light = np.array([0.6, 0.0, 0.8])
     angles = rng.uniform(0.0, 2.0 * np.pi, 60)
     uv = rng.uniform(0.1, 0.99, 60) * polar_grid.inner_radius(SOURCE)
@@ -133,7 +133,7 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_reference_do_not_count():
-    """The reference has too few wavelengths for a source at the horizon. A table needs none there."""
+    """At the horizon the reference has too few wavelengths for a source, so such directions do not count."""
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
     group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))
@@ -144,7 +144,7 @@ def test_directions_beyond_the_reference_do_not_count():
 
 
 def test_a_table_that_is_too_large_is_refused(rng):
-    """If a table fits into the limit of memory, its error decides. If none fits, the call is refused."""
+    """If a table fits into the memory limit, its error decides about refusal. If none fits, the call is refused."""
     large = wd.gratings.fingers(size_um=25.6, seed=1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
     for degrees, message in ((0.1, "12 rings per octave are too few"), (0.05, "requires more than 300 MB")):

@@ -94,7 +94,7 @@ def test_keys_are_values(heightfield):
 
 
 def test_no_key_is_made_of_an_identity_or_a_text():
-    """``id`` may repeat after an object is deleted, and texts may be equal for different objects."""
+    """Keys must be values: ``id`` may repeat after an object is deleted, and different objects may have equal texts."""
     for package, names in {"tables": {"id", "str", "repr", "hash"}, "baked": {"id", "repr", "hash"}}.items():
         for path in sorted((PACKAGE / package).glob("*.py")):
             calls = [

@@ -69,7 +69,7 @@ def interaction(count=None, to_light=LIGHT):
 def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     bsdf = bsdf_of(spectrum_file, "scalar_spectral", masking=False)
     views = hemisphere(np.random.default_rng(3), 60, lowest=0.1)
-    # A third of the views are around the mirror direction.
+    # A third of the view directions are near the mirror direction.
     views[:20] = LIGHT * [-1.0, -1.0, 1.0] + np.random.default_rng(4).normal(0.0, 0.02, (20, 3))
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     exact = wd.brdf(fingers, LIGHT, views, WAVELENGTHS, coherence=WINDOW, tolerance=3e-3) * views[:, 2:]

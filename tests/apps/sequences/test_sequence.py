@@ -46,7 +46,7 @@ def test_a_turntable_turns_once_about_the_target():
     assert before[1] * after[0] - before[0] * after[1] < 0.0
     around = wd.turntable(LIGHT, VIEW, count=8, turns=-0.5, lights_follow=False)
     assert {each.lights for each in around} == {(LIGHT,)}
-    # Half of a half turn, counter-clockwise as seen from above.
+    # At this frame the camera has rotated by a quarter turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
     # A camera fitted for a turntable shows the whole mesh in all frames, here around one of its ends.
     body = wd.meshes.tube()
@@ -78,18 +78,18 @@ def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # The disc light rotates about +x, as the first light does.
+    # The direction to the disc light rotates about +x, like the position of the point light.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
     assert {each.view for each in shots} == {VIEW}
     turning = wd.light_sweep([sky, disc], VIEW, turns=0.5, count=2)
     assert turning[0].lights == (sky, disc)
-    # A quarter turn, counter-clockwise from above, maps +x to −z.
+    # A quarter turn of the lights, counter-clockwise from above, maps +x to −z.
     expected = wd.Environment.clear_sky((0.0, 1.0, -1.0))
     assert turning[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
     np.testing.assert_allclose(turning[1].lights[1].to_light, (z, y, -x))
-    # For an upside-down camera, the rotation has the opposite direction.
+    # For an upside-down camera, lights rotate in the opposite direction.
     below = wd.light_sweep(sky, dataclasses.replace(VIEW, up=(0.0, -1.0, 0.0)), turns=-0.5, count=2)
     assert below[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
 
@@ -141,7 +141,7 @@ def test_a_path_is_read_from_a_file(tmp_path):
 
 
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
-    """Frames rendered by a worker are equal, too. The shots must not store the arrays of their skies."""
+    """Frames under all lights equal those of ``shade``, also from a worker. Shots do not store the arrays of skies."""
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
     # The disc light has about the brightness of the sky.
@@ -207,7 +207,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # One frame is truncated, as by a full disk on another machine. One has another size.
+    # One stored frame is truncated, as by a full disk on another machine. Another one has a wrong picture size.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
@@ -262,7 +262,7 @@ def test_an_animated_file_shows_every_frame(renderer, tmp_path, suffix):
         assert film.info["loop"] == 0
         for index in range(4):
             film.seek(index)
-            # Lossy formats and colour palettes differ slightly.
+            # Lossy formats and colour palettes change the colours of the frames slightly.
             difference = np.abs(np.asarray(film.convert("RGB")).astype(int) - pixels(paths[index])[..., :3])
             assert difference.mean() < {".png": 1e-9, ".webp": 3.0, ".gif": 6.0}[suffix]
             assert film.info["duration"] == pytest.approx(100.0)

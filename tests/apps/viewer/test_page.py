@@ -30,7 +30,7 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Time limit in milliseconds. It is long because test machines may be busy.
+# Limit on the time of each step in milliseconds. It is long because test machines may be busy.
 WAIT_MS = 240_000
 # Size of the browser window in pixels. Next to the panel it has a stage of 320 × 240 pixels.
 SMALL = {"width": 640, "height": 240}
@@ -190,7 +190,7 @@ def test_the_picture_changes_with_what_is_set_and_comes_back(page):
     ):
         page.set(name, value)
         pixels = page.rest()
-        # The pigment only affects meshes with a base colour, and this mesh has none.
+        # The pigment only changes meshes with a base colour, and the test mesh has none.
         assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)
@@ -238,7 +238,7 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(lines, made)  # noqa: S102 (the viewer's own lines)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The pixels also equal those of ``shade`` with the stated plan.
+    # The pixels of the page also equal those of ``shade`` with the same plan.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
@@ -246,7 +246,7 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The command line makes a plan for its own directions, so its picture agrees only within the tolerance.
+    # The command line makes a plan for its own directions, so its picture agrees with the page only approximately.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0
@@ -294,7 +294,7 @@ def test_an_error_of_one_page_does_not_reach_another_page(page, chromium, viewer
         other.set(name, value)
     first, second = page.rest(), other.rest()
     assert changed(first, second) > 0.1
-    # These bumps are wider than their spacing, so the page shows an error.
+    # The requested bumps are wider than their spacing, so the page shows an error.
     other.set("surface", "bumps")
     other.set("bumps_width_um", 2)
     other.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
@@ -327,7 +327,7 @@ def test_an_environment_illuminates_the_mesh_and_is_its_background(chromium, ser
         made.set(name, value)
     first = made.rest()
     assert not made.page.locator("#light").is_visible()
-    # The background has different colours on the left and on the right of the mesh.
+    # The sky behind the mesh has different colours on the left and on the right.
     assert np.ptp(first[0], axis=0)[0] > 10
     made.set("environment_rotation_deg", 150)
     assert changed(made.rest(), first) > 0.2

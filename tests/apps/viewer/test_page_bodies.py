@@ -17,7 +17,7 @@ def test_sample_bodies_are_cached_on_disk(tmp_path, monkeypatch):
     first = page_bodies.surface_of(call, None)
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
-    # Rendering threads of other tests may still be active, so only this call must not be made again.
+    # Rendering threads of other tests may still create meshes, so only the tested mesh must not be created again.
     monkeypatch.setattr(Call, "make", lambda other: pytest.fail("it is cached") if other is call else make(other))
     cached = page_bodies.surface_of(call, None)
     for name, value in vars(first).items():

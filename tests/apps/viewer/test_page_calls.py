@@ -35,7 +35,7 @@ def extremes(control):
 
 
 def scenes(files):
-    """Yield each control with the scenes of its extreme values, while the control is visible."""
+    """Yield each control with the scenes for its extreme values; controls that it depends on make it visible."""
     first = checked(files.controls, {"mesh": "snake", "surface": "fingers", "light": "directional"})
     for control in files.controls.values():
         shown = first | {name: values[0] for name, values in control.shown_if.items()}
@@ -174,7 +174,7 @@ def test_scenes_are_written_as_they_are_made():
     assert words[words.index("--ior") + 1] == "inf"
     assert words[words.index("--coherence") + 1] == "source"
     assert {"--no-masking", "--display"} < set(words)
-    # Normalised energy replaces masking, so ``masking`` is not an option then.
+    # Normalised energy replaces masking, so a scene with it has no option ``masking``.
     scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
     assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
     words = scene.command(VIEW, 0.5, {}).split()

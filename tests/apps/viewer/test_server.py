@@ -164,7 +164,7 @@ def test_connections_that_say_nothing_are_closed(monkeypatch):
         silent = [
             stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0)) for _ in range(100)
         ]
-        # If the server does not close the connection, this call ends with a timeout error.
+        # If the server did not close a silent connection, reading from it would raise a timeout error.
         for connection in silent:
             while connection.recv(1000):
                 pass
@@ -209,7 +209,7 @@ def test_invalid_values_are_reported_only_to_their_page():
             before = len(studio.requests)
             page.send(draw(**case))
             page.send(draw(generation=7))
-            # The next valid request is still served.
+            # After an invalid request, the server still accepts the next valid request.
             give_up = time.monotonic() + 5.0
             while time.monotonic() < give_up and not (
                 len(studio.requests) > before and studio.requests[-1].generation == 7

@@ -96,8 +96,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # With this short coherence window, tables take several seconds less. Page, Python lines and command each build
-    # them.
+    # A short coherence window makes tables several seconds faster. The page, its Python lines and its command build
+    # tables.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
@@ -115,8 +115,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The saved file equals the picture. The command's picture agrees within the tolerance, because it has its own
-        # plan.
+        # The saved file equals the picture on the page. The command has its own plan, so its picture agrees
+        # approximately.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
@@ -141,7 +141,7 @@ def test_a_released_control_is_refined_immediately(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, moving=True))
         page.until(lambda message: message["kind"] == "picture")
-        # The control is released at its last position, or slightly beyond.
+        # A control is released at the value of the last preview, or slightly beyond it.
         for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
             studio.request(page.session, page_request(generation, azimuth_deg=azimuth_deg))
             ((first, _), *_) = (part for part in page.until(is_last) if part[0]["kind"] == "picture")
@@ -205,7 +205,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # These limits simulate a slower machine.
+        # These short time limits simulate a slower machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
@@ -233,7 +233,7 @@ def test_previews_have_as_many_pixels_as_the_frame_rate_allows():
         for index in range(16):
             view = studio._smaller(full)
             sizes.append(view.width)
-            # Every eighth picture is late, which must not change the size.
+            # Every eighth picture is late, which must not change the size of the previews.
             late = 0.2 * (index % 8 == 7)
             pixels = view.width * view.height
             studio._times.append((fixed + of_all * pixels / (640 * 480) + late) / math.sqrt(pixels))

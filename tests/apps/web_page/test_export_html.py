@@ -25,7 +25,7 @@ FLAGS = (
     "--disable-background-networking --disable-component-update --disable-sync"
 )
 WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 1024, 16
-# Time limit in milliseconds. It is long because test machines may be busy.
+# Limit on the time of each step in milliseconds. It is long because test machines may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEWS = [
@@ -134,13 +134,13 @@ def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
-    # The reference picture has a tolerance of 3 %, so the sums may differ by this much.
+    # The reference picture has a tolerance of 3 %, so sums of Y may differ by this much.
     assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
     assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
 
 
 def test_a_point_light_equals_that_of_shade(shown, skin, body):
-    """With few frames, medians and sums are compared, because they are insensitive to the noise at edges."""
+    """With few frames, medians and sums of pixels are compared, because edges are noisy."""
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
@@ -153,7 +153,7 @@ def test_a_point_light_equals_that_of_shade(shown, skin, body):
     assert np.median(colour_difference(seen, exact.display()[..., :3])[inside]) <= 1.0
     assert found[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
     assert np.median(found[..., 1][dark]) < 0.05 * np.median(found[..., 1][inside])
-    # A distant light with the same brightness in the centre gives a clearly different picture.
+    # A directional light with the same brightness in the picture centre gives a clearly different picture.
     far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
     render(shown, 16, **far)
     assert np.median(colour_difference(canvas(shown), exact.display()[..., :3])[inside]) > 3.0
@@ -223,7 +223,7 @@ def test_a_page_is_within_its_size_limit_and_complete(shown, page):
 
 
 def test_the_console_stays_empty(shown):
-    # Chromium warns about reading pixels back, which only tests do.
+    # Chromium warns about reading pixels back, which the page does only in tests.
     assert not [each for each in shown.said if "GPU stall due to ReadPixels" not in each[1]]
 
 
@@ -234,13 +234,13 @@ def test_without_webgl_2_a_sentence_says_so(page, chromium):
     browser.close()
 
 
-# Pixels at the edges of facets have larger errors, so the median is compared.
+# Pixels at the edges of facets have large errors, so only the median error is limited.
 @pytest.mark.filterwarnings("ignore:.*of the pixels see more than")
 @pytest.mark.parametrize(
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
 def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chromium, tmp_path):
-    """These features do not occur in the picture of the snake."""
+    """The page supports mirrored textures, facets and several lights, which the other tests do not use."""
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)
