@@ -61,7 +61,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])
 def device(request) -> str:
-    """Run the test on the CPU and, if one exists, on the CUDA device."""
+    """Run the test on the CPU, and also on a CUDA device if the machine has one."""
     if request.param == "cuda":
         import warp as wp
 
@@ -104,7 +104,7 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture
 def tries(record_property):
-    """Return a counter of attempts for the report of a soak test. Tests without it count as one attempt."""
+    """Return a counter of attempts for the report of a soak test. Tests without a counter have one attempt."""
     counted = endurance.Tries()
     yield counted
     record_property("tried", counted.number)

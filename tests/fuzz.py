@@ -48,7 +48,7 @@ def renderer() -> wd.Renderer:
     return wd.Renderer(MESH, HEIGHTFIELD, LIGHT, VIEW, plan=plan())
 
 
-# Values of arbitrary types for fuzzing. Most arguments reject most of these values.
+# Values of arbitrary types for fuzzing, most of which most arguments reject.
 _ANYTHING = [
     *(None, ..., "", "bad", "a\0b", "\ud800", b"bytes", True, False, object(), object, len),
     *([], (), {}, set(), [[]], [None], ["x"], [[1, 2], [3]], {"a": 1}, range(3), iter([1.0]), slice(2)),
@@ -243,7 +243,7 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
-    # Counts at their upper limit are legal but slow. They are tested only one step above the limit.
+    # Counts at their upper limit are legal but slow, so only the next larger count is tested, which is refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one

@@ -1,7 +1,7 @@
 """Reference implementation of the native table look-ups in plain Warp: one pixel at a time, slow but readable.
 
-``native/point_lookup.h`` and ``native/footprint_lookup.h`` compute the same results for several pixels at once. They
-use series instead of logarithms, exponentials and arc tangents.
+The native look-ups in ``native/point_lookup.h`` and ``native/footprint_lookup.h`` compute the same results for several
+pixels at once, with series instead of logarithms, exponentials and arc tangents.
 """
 
 import functools

@@ -341,7 +341,7 @@ TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_fingers(fingers, *, size_um, pitch_um):
-    """Return fingers on a patch of one sixth of the given width."""
+    """Return fingers on a patch with a sixth of the given width."""
     return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
 
 

@@ -86,7 +86,7 @@ def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # Lines are at wavelengths of 0.75 and 0.375 µm. The model ignores the second one, so only green remains.
+    # Lines are at 0.75 and 0.375 µm. The model ignores the line at 0.375 µm, so only green remains.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

@@ -1,4 +1,4 @@
-"""The suite of benchmark charts: comparisons, refusals and files. Its measurements are not tested."""
+"""The suite of benchmark charts: comparisons, refusals and files. Measurements of the suite are not tested."""
 
 import csv
 import json

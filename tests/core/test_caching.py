@@ -39,7 +39,7 @@ def test_a_lookup_does_not_replace_the_stored_key():
 
 
 class Frozen:
-    """A mutable key, contrary to its name, which is compared by its number."""
+    """Test key that is mutable, contrary to its name, and compared by its number."""
 
     def __init__(self, number):
         self.number = number

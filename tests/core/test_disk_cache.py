@@ -18,7 +18,7 @@ HEIGHTS = np.arange(12.0).reshape(3, 4)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Use a temporary cache folder, and cache all results, including those that are computed quickly."""
+    """Use a temporary cache folder, and cache all results, even those that are computed quickly."""
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
     return tmp_path / "cache"
@@ -135,7 +135,7 @@ def test_old_temporary_files_of_killed_processes_are_removed(folder, tries):
         os.utime(file, (1e9, 1e9))
     disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
     assert not old.exists()
-    # Young temporary files are kept, because another process may still be writing them. So are files of other programs.
+    # Young temporary files are kept, because another process may still be writing them. Other programs' files are kept.
     assert young.exists()
     assert (folder / "mine.part").exists()
 

@@ -164,7 +164,7 @@ def test_overlapping_contexts_of_two_threads_restore_the_number_of_threads():
     with single_threaded_blas():
         other.start()
         entered.wait(60.0)
-    # The other thread is still within its context, so linear algebra must stay on one thread.
+    # Another thread is still within its context, so linear algebra must stay on one thread.
     assert set(blas_threads()) == {1}
     leave.set()
     other.join()

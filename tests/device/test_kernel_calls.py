@@ -16,7 +16,7 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
-# The compile options equal those of the package. Others would precompile Warp's headers again.
+# The compile options equal those of the package, so that Warp's headers are not precompiled again.
 wp.set_module_options(compile_options.options())
 
 

@@ -180,7 +180,7 @@ COLOURED = {
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
 def test_colour_within_its_tolerance(kind, rng):
-    """The error of a call is the 99th percentile over its directions. It must be within the tolerance."""
+    """The 99th percentile of the errors over the directions of a call must be within the tolerance."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
     lowest = 0.2 if kind == "source" else 0.05

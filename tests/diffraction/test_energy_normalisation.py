@@ -92,7 +92,7 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
 
 
 def test_gentle_surfaces_keep_their_orders():
-    """If one order has nearly all power, conservation of energy leaves the other factors open. They must be near 1."""
+    """If one order has nearly all power, conservation of energy hardly limits the factors, which must be near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)

@@ -78,7 +78,7 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
 
 
 def test_taylor_is_noise_in_float32():
-    """At 1 µm the uncentred Taylor series is useless with any number of terms. The centred one has an error of 0.1."""
+    """At 1 µm, the uncentred Taylor series is useless with any number of terms; the centred one has an error of 0.1."""
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0
     assert in_float32("taylor", 0.3)[0] < 1e-5

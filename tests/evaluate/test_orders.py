@@ -37,7 +37,7 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_at_each(rng):
-    """With too few terms, or a series for half of the range of κ, the coefficients have errors of about 1."""
+    """A series with too few terms, or for half of the range of κ, would give coefficients with errors of about 1."""
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
     indices = rng.integers(-9, 9, (40, 2))
@@ -166,7 +166,7 @@ def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # Exactly these orders satisfy the condition of propagation, |m 0.5/1.6 − sin 20°| < 1.
+    # Only orders with |m 0.5/1.6 − sin 20°| < 1 propagate.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 

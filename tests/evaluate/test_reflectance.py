@@ -49,7 +49,7 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
     options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
     wd.reflectance(line, at_angle(10.0), UP, **options)
     first = counts[0]
-    # Each halving of the step computes only the new wavelengths, one fewer than before.
+    # Each halving of the step computes only the new wavelengths: as many as before minus one.
     totals = list(itertools.accumulate(counts))
     assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
     monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)

@@ -29,7 +29,7 @@ def test_periods_between_coefficients_are_accurate_to_their_standard_error(perio
     assert result.share > 0.98
     assert not result.is_waviness
     assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
-    # The grooves have only odd harmonics. The first amplitude is between those of a sine and of a square wave.
+    # The grooves have only odd harmonics, and a first amplitude between those of a sine and of a square wave.
     assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
     assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:

@@ -107,7 +107,7 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
     plan = dataclasses.replace(plan, footprint=True)
     lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
     count = 100_000
-    # The number of look-ups is not a multiple of these batch sizes, so the last batch is incomplete.
+    # The number of look-ups is not a multiple of the tested batch sizes, so the last batch is incomplete.
     runs = (256, 1, 7, 61)
     uv, w = rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, count)
     scattering_vectors = np.column_stack([uv, w])
@@ -168,7 +168,7 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Test distances from the mirror direction are in standard deviations. These footprints include all azimuths."""
+    """Footprints at 0 to 3 standard deviations from the mirror direction include all azimuths."""
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
     plan = wd.plan(heightfield, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -296,7 +296,7 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """A Gaussian line between azimuth samples, stored as spline coefficients, is blurred by a few of them.
+    """A Gaussian line between azimuth samples, stored as spline coefficients, is blurred by a few filter taps.
 
     For the line spectra of a source, the spline itself has an error of 3 % of the peak.
     """

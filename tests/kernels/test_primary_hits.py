@@ -209,7 +209,7 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # Rounding decides which face a ray through an edge hits, but it must hit one of them.
+    # Rounding decides which of two faces a ray through their common edge hits, but the ray must hit one.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -332,7 +332,7 @@ def test_gaussian_offsets():
     assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
     # The samples have low discrepancy: the mean of 16 is much closer to 0 than for independent samples (σ / 4).
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
-    # Each pixel and each seed rotates the sample pattern differently.
+    # The sample pattern is rotated differently in each pixel and for each seed.
     assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
     assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
 
@@ -356,8 +356,7 @@ def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
 
 def test_shading_normals_are_tilted_to_a_hundredth():
     mesh = wall(size=2.0)
-    # Two shading normals: one is tilted away from a distant viewer, and one points almost directly away from the
-    # viewer.
+    # One shading normal is tilted away from a distant viewer, and another points almost directly away from the viewer.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
         normals = np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
         surface = dataclasses.replace(prepare_surface(mesh), normals=normals)

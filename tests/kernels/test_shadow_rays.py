@@ -232,8 +232,8 @@ def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
 
 
 def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_face_it():
-    # A snake seen from below and illuminated from behind. No cell of the first level faces the light. Those of the next
-    # level that face it are in shadow.
+    # A snake seen from below and illuminated from behind. No cell of the first level faces the light. Cells of the next
+    # level that face the light are in shadow.
     heightfield, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
     eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)

@@ -154,7 +154,7 @@ def test_levels_follow_from_second_differences(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # Level 1 suffices for pixels whose neighbours also have linearly changing colours.
+    # Level 1 suffices for a pixel if its colour and those of its neighbours change linearly.
     assert np.all(levels[4:, :] == 1)
 
 

@@ -56,7 +56,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
-    # All pixels have the same colour but different samples. Their mean has only the error of the table.
+    # All pixels have the same colour but different samples, so the mean of the pixels has only the error of the table.
     found = found.mean(axis=(0, 1))
     # With dω cos θ = du dv, each direction of a grey sky adds ρ L dω 4πσ²/λ², with the spectrum of D65.
     step = 0.0125
@@ -292,7 +292,7 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_reco
     assert len(keys) == 3
     assert len(set(keys)) == 1
     np.testing.assert_array_equal(first, second)
-    # A picture of another view shares the arrays of the sky. Another sky has its own arrays and launches.
+    # A picture of another view reuses the device arrays of the same sky. Another sky has new arrays and launches.
     wd.shade(square, flat, lights, seen_at(20.0), **UNDER)
     assert len(uploads) == 1
     renderer.draw(wd.Environment(np.ones((4, 8, 3)), directions=16))

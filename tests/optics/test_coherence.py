@@ -59,7 +59,7 @@ def test_replicas_equal_the_sum_over_all_periods(small, rng, periods):
 def test_periods_at_and_near_resonances(small, turns_x, turns_y):
     scattering_vector = scattering_vector_at(small, turns_x, turns_y, 0.5)
     value = one(small, Coherence("replicas", periods=PERIODS), scattering_vector, 0.5)
-    # With half turns, four periods cancel up to the rounding error of a sum of numbers of size 1.
+    # With half turns between periods, the sum over four periods cancels up to rounding errors.
     assert value == pytest.approx(tiled_power(small, PERIODS, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
     if np.rint(turns_x) == turns_x and np.rint(turns_y) == turns_y:
         coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / 0.5 * small.heights_um))
@@ -163,7 +163,7 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
         coherence = Coherence("source", angular_diameter_deg=diameter)
         s, worst = coherence.spread, 0.0
         for (r, t), place in cases:
-            # Direction to the viewer whom this order reaches from the chosen point of the source.
+            # Direction to a viewer whom this order reaches from the chosen point of the source.
             origin = to_light + s * (place[0] * first + place[1] * second)
             origin /= np.linalg.norm(origin)
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])

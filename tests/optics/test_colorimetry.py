@@ -64,7 +64,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
 def test_uniform_quadratures(colour, geometric, illuminant, count):
-    """Quadratures have equal steps in 1/λ, or equal ratios. Both give white the colour of the sum over 1 nm steps."""
+    """Quadratures with equal steps in 1/λ, or in ln λ, give white the same colour as the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
     steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)

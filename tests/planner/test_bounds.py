@@ -1,4 +1,4 @@
-"""Upper-bound plans meet the tolerance of calls too small for a search. Each case of these tests failed once."""
+"""Upper-bound plans meet the tolerance of calls too small for a search. Each tested call failed once."""
 
 import math
 import warnings
@@ -120,7 +120,7 @@ def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengt
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # The predicted count has one interval more than the set of wavelengths.
+    # The predicted number of wavelengths includes one interval more than the set of wavelengths has.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 

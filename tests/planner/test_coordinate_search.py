@@ -91,7 +91,7 @@ def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, s
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Three searches over 13 steps and those over 4 and 9 steps evaluate at most 20 plans in total.
+    # Searches over 4 and 9 steps, and three searches over 13 steps, evaluate at most 20 plans in total.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -253,7 +253,7 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Bandwidths differ by whole quarter octaves from those for a tolerance of 0.01, and weights are powers of e."""
+    """Bandwidths are whole quarter octaves away from those for a tolerance of 0.01, and weights are powers of e."""
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
     ]

@@ -82,7 +82,7 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # Each line costs 150 multiply-adds, and one per term at each of its 42 nodes: 336 more for 8 additional terms.
+    # Each line costs 150 multiply-adds plus 42 per term (one per node), so 8 more terms cost 336.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
@@ -101,7 +101,7 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 
 
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
-    """The number of neighbours is the product of 2 · radius · length over both axes. One-sample axes count as 1."""
+    """The number of neighbours is the product of 2 · radius · length over both axes, except for one-sample axes."""
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
     radius = math.sqrt(-math.log(plan.least_weight)) / (2.0 * math.pi * plan.coherence.sigma_um)

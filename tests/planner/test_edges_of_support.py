@@ -10,7 +10,7 @@ from warpdiff.planner import refusals
 
 @pytest.mark.parametrize(("extent", "supported"), [((100, 99), True), ((100, 100), False)])
 def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, extent, supported):
-    """Neighbourhoods of 201 × 199 coefficients are within the limit of 40,000; those of 201 × 201 exceed it."""
+    """A neighbourhood of 201 × 199 coefficients is within the limit of 40,000, and one of 201 × 201 exceeds it."""
     monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
     plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
     if supported:

@@ -133,7 +133,7 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """If more rings reduce the error by less than expected, the basis functions of w are the limit."""
+    """If more rings reduce the error by less than expected, the number of basis functions of w is the limit."""
     law = {(48, 8): 2.9, (96, 8): 1.6, (96, 12): 0.9}
     trial = Tables(fingers, plan, law=lambda table: TARGET * law[table.rings_per_octave, table.w_basis_size])
     table = trial.smallest()
@@ -161,7 +161,7 @@ def test_the_fewest_terms_within_half_of_the_target_follow_from_the_residuals(fi
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """Sampling is tried once with more terms. If they explain half of a table's error, the table is made again."""
+    """Sampling is tried once with more terms. If the terms explain half of a table's error, the table is made again."""
 
     def law(table):
         return TARGET * (1.5 if table.terms == 10 and table.rings_per_octave == FIRST else 0.5)

@@ -17,12 +17,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
-    """Return the measured scan, or None if it is missing. Tests then use synthetic fingers."""
+    """Return the measured scan, or None if the file is missing, so that tests use synthetic fingers."""
     return inputs.levelled_scan()
 
 
 def check(case: Configuration, count: int = 400) -> None:
-    """Compare a call with the reference on a subset of its directions; in large calls, not those that the plan used."""
+    """Compare a call with the reference on some directions; in large calls, on directions that the plan did not use."""
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
     # The chosen directions are sorted by brightness, the brightest first.

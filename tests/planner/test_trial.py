@@ -1,4 +1,4 @@
-"""Trials: their values equal those of the public functions, and their errors are percentiles."""
+"""Trials: the values of a trial equal those of the public functions, and errors are percentiles."""
 
 import dataclasses
 import math

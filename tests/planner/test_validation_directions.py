@@ -1,4 +1,4 @@
-"""Training and validation sets: they are disjoint, and each one represents the whole call."""
+"""Training and validation sets are disjoint, and each set represents the whole call."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_directions_with_a_large_measure_are_drawn_only_once_and_other_direction
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
-    # Among 100 draws, the first ten directions and the one with a measure of 50 are always included.
+    # Among 100 draws, the first ten directions and the direction with a measure of 50 are always included.
     measure[:10], measure[10] = 1e3, 50.0
     drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
     index = {tuple(light): k for k, light in enumerate(lights)}

@@ -156,8 +156,9 @@ def projected_disc(centre, radius, count):
 def test_flat_mirror_reflects_all(sigma_um, theta_deg):
     """Check that ∫ BRDF cos θr dω = R.
 
-    At 75° the lobe of the shortest window extends to the horizon. There the formula itself gives 1.007 at 550 nm, 1.017
-    at 450 nm and 0.957 at 780 nm. With Fresnel reflectance it gives 1.06.
+    At 75° the lobe of the shortest window extends to the horizon. In this case the formula itself gives 1.007 at 550
+    nm,
+    1.017 at 450 nm and 0.957 at 780 nm, and 1.06 with Fresnel reflectance.
     """
     assert mirror_power(sigma_um, theta_deg, math.inf) == pytest.approx(1.0, rel=1e-2)
 
@@ -180,9 +181,9 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_excess_energy_of_a_shallow_sine(period_um):
-    """The excess is a property of the scalar theory: (2πa/λ)² (1 − c)²/(2c) with the cosine c of the first order.
+    """The excess energy of scalar theory is (2πa/λ)² (1 − c)²/(2c), with the cosine c of the first order.
 
-    It is a millionth of the light. Measuring it requires float64, a shallow profile and narrow lobes.
+    The excess is a millionth of the light. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength

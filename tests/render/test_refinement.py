@@ -264,7 +264,7 @@ def test_lights_and_pigments_add_up(fingers, table):
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
-    """Along each axis, the weighted Gaussians of the cells add up to one with σ = 0.5 pixel; points use its values."""
+    """The weighted Gaussians of the cells add up to a Gaussian with σ = 0.5 pixel; points use its values."""
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])

@@ -138,7 +138,7 @@ def test_a_light_below_the_horizon_adds_nothing(fingers):
 
 
 def test_both_sides_are_visible(fingers):
-    """With eye and light behind the disc, the picture is the mirror image of the one from the front."""
+    """With eye and light behind the disc, the picture is the mirror image of the picture from the front."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])
     images = [
@@ -360,7 +360,7 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
-    # The float64 reference gives rays and shadows. It uses a flat field, because colours are not compared.
+    # The float64 reference gives rays and shadows for a flat field, because colours are not compared.
     body = reference.Body.of(prepare_surface(mesh))
     truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]

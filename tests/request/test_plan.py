@@ -106,7 +106,7 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """The predicted error is at most ten times the measured one, also on directions that were not planned for."""
+    """The predicted error is at most ten times the measured error, also on directions that were not planned for."""
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
@@ -482,7 +482,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """Each pixel is the mean over a grid of directions. Its coverage is the share of them on the disc."""
+    """Each pixel is the mean over a grid of directions, and its coverage is the share of directions on the disc."""
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
     means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)

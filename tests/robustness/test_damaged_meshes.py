@@ -44,7 +44,7 @@ def no_image(folder):
 
 
 def too_large(folder):
-    # An image with one bit per pixel makes a small file. Pillow refuses images of more than twice its size limit.
+    # An image with one bit per pixel compresses to a small file. Pillow refuses images of twice its size limit.
     Image.new("1", (20_000, 20_000)).save(folder / "paint.png")
 
 

@@ -36,7 +36,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(autouse=True)
 def _linear_algebra_has_threads(monkeypatch):
-    """Give linear algebra two threads, as users have. The test command allows only one."""
+    """Give linear algebra two threads, as users have; the test command allows only one thread."""
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with threadpool_limits(limits=2, user_api="blas"):
         yield
@@ -228,7 +228,7 @@ assert t.in_child(used) == 0
 
 
 def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
-    """A fork waits for other threads. Otherwise their locks, such as OpenColorIO's, stay locked in the child."""
+    """Without waiting for other threads, a fork would copy locks, such as OpenColorIO's, that stay locked forever."""
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 

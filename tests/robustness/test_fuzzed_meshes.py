@@ -15,12 +15,12 @@ from warpdiff.scene import mesh_import
 
 FORMATS = ("obj", "ply", "stl", "glb", "off", "gltf")
 MESHES = list(malformed_meshes())
-# Folder of additional mesh files, such as those of a mesh library. It is not part of this repository.
+# Folder of additional mesh files outside of this repository, such as those of a mesh library.
 MODELS = os.environ.get("WARPDIFF_MODELS")
 
 
 def render(path, **options):
-    """Render a small picture, and return an empty text or the text of the one clear error."""
+    """Render a small picture; return an empty text, or the message of a clear error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Ignore the package's own warnings, such as one about a missing texture.
@@ -62,7 +62,7 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
 @pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS names no folder of meshes")
 def test_additional_mesh_files_are_rendered_or_refused(tries, rng):
-    # Files that are not meshes must be refused in the same way.
+    # Files that are not meshes must be refused with the same kind of message.
     for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
         if "texture coordinates" in render(path):
             render(path, tangents=tangents_for(path, rng))

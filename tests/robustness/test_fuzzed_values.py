@@ -29,7 +29,7 @@ MOST_S = 60
 MOST_MORE_BYTES = 1 << 30
 
 
-# Classes whose field names a message may contain, by argument. Valid objects may be refused because of one field.
+# Classes whose field names a message may contain, by argument: valid objects may be refused because of a field.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
     "view": "View", "direction": "View", "plan": "Plan", "self": "HeightField",

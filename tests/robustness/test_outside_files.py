@@ -49,7 +49,7 @@ sys.addaudithook(_watch)
 
 @pytest.fixture
 def folder(tmp_path):
-    """Return the folder of a mesh. Its parent folder contains a material library, a texture and a buffer."""
+    """Return the folder of a mesh. The parent folder contains a material library, a texture and a buffer."""
     (tmp_path / "outside.mtl").write_text(MTL.format("paint.png"))
     (tmp_path / "outside.bin").write_bytes(BUFFER)
     Image.new("RGB", (2, 3), (200, 30, 30)).save(tmp_path / "outside.png")

@@ -76,9 +76,9 @@ def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # case of a moderate number of neighbours
-        ((64, 64), (9.0, 9.0), 2.5),  # case of more rows and columns than a SIMD vector
-        ((5, 3), (2.0, 1.6), 2.0),  # case of a small patch with periodic coefficients
+        ((40, 44), (6.0, 5.0), 22.0),  # test case: a moderate number of neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # test case: more rows and columns than a SIMD vector has elements
+        ((5, 3), (2.0, 1.6), 2.0),  # test case: a small patch with periodic coefficients
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
@@ -141,7 +141,7 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
     [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
 )
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
-    """Compare spline coefficients, sums over them, and the dark end of the spectrum with the same in float64.
+    """Spline coefficients, sums over them, and the dark end of the spectrum equal the same in float64.
 
     With a reach of 0 there are no rows beyond the last colour, so the start of the spline filter matters, too.
     """

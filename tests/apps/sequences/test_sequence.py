@@ -144,7 +144,7 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     """Frames under all lights equal those of ``shade``, also from a worker. Shots do not store the arrays of skies."""
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
-    # The disc light has about the brightness of the sky.
+    # The power of the disc light makes it about as bright as the sky.
     disc = wd.DirectionalLight((0.3, 1.0, 0.4), angular_diameter_deg=3.0, power=300.0)
     lights = [sky, wd.PointLight((0.0, 3.0, 1.0), power=3e3), disc]
     view = wd.View.fit(body, width=16, height=12)
@@ -207,7 +207,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # One stored frame is truncated, as by a full disk on another machine. Another one has a wrong picture size.
+    # One of the stored frames is truncated, and another has a wrong picture size. Both must be rendered again.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []

@@ -30,7 +30,7 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Limit on the time of each step in milliseconds. It is long because test machines may be busy.
+# Time limit of each step in milliseconds, which is long because test machines may be busy.
 WAIT_MS = 240_000
 # Size of the browser window in pixels. Next to the panel it has a stage of 320 × 240 pixels.
 SMALL = {"width": 640, "height": 240}

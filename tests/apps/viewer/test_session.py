@@ -41,7 +41,7 @@ class Page:
         self.studio, self.session = studio, studio.session(lambda *sent: self.messages.put(sent))
 
     def until(self, holds):
-        """Return all messages up to the first one that satisfies a condition, and acknowledge each picture."""
+        """Return all messages up to the first message that satisfies a condition, and acknowledge each picture."""
         received = []
         while not received or not holds(received[-1][0]):
             received.append(self.messages.get(timeout=WAIT_S))
@@ -150,7 +150,7 @@ def test_a_released_control_is_refined_immediately(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # After a change of the settings, an unrefined picture comes first.
+        # After a change of the settings, the first picture is unrefined.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)
@@ -205,7 +205,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # These short time limits simulate a slower machine.
+        # Short time limits for previews simulate a slower machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):

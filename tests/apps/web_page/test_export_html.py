@@ -1,6 +1,6 @@
 """The exported page in headless Chromium; see ``make test-browser`` for the requirements.
 
-Software WebGL is slow. So meshes, canvases and numbers of frames are small, and the page renders few frames per call.
+Meshes, canvases and numbers of frames are small, and each call renders few frames, because software WebGL is slow.
 """
 
 import base64
@@ -25,7 +25,7 @@ FLAGS = (
     "--disable-background-networking --disable-component-update --disable-sync"
 )
 WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 1024, 16
-# Limit on the time of each step in milliseconds. It is long because test machines may be busy.
+# Time limit of each step in milliseconds, which is long because test machines may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEWS = [
@@ -62,7 +62,7 @@ def chromium():
 
 
 def opened(chromium, path, *more):
-    """Return a browser that shows the page, the page, and a list of its console messages."""
+    """Return a browser, the opened page, and a list of the page's console messages."""
     browser = chromium.launch(executable_path=CHROMIUM, args=[*FLAGS.split(), *more])
     shown = browser.new_page(viewport={"width": 240, "height": 200})
     shown.set_default_timeout(WAIT_MS)
