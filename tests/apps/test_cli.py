@@ -58,7 +58,7 @@ def test_a_picture_under_a_sky_and_a_point_light_equals_that_of_the_library(tmp_
     sky_file = ["--environment", tmp_path / "sky.exr"]
     assert run(line, *sky_file, "-o", tmp_path / "under.exr") == 0
     assert run(line, *sky_file, "--environment-behind", "-o", tmp_path / "under.png") == 0
-    found = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
+    result = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
     sky = wd.Environment(radiance, rotation_deg=40.0, scale=2.0, directions=16)
     view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, width=16, height=12)
     lights = [wd.PointLight((1, 2, 1), power=3.0), sky]
@@ -68,7 +68,7 @@ def test_a_picture_under_a_sky_and_a_point_light_equals_that_of_the_library(tmp_
     )  # fmt: skip
     exact.save(tmp_path / "exact.exr")
     exact.save(tmp_path / "exact.png", background=sky.background(view) / np.float32(0.04))
-    assert np.array_equal(found, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
+    assert np.array_equal(result, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
     shown, same = (oiio.ImageBuf(str(tmp_path / name)).get_pixels() for name in ("under.png", "exact.png"))
     assert np.abs(shown - same).max() < 0.01
 

@@ -15,7 +15,7 @@ FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True,
 
 
 def runs(peer):
-    """Return the peer, or skip the test if it cannot run on this machine."""
+    """Return the competing implementation (peer), or skip the test if it cannot run on this machine."""
     if reason := peer.available():
         pytest.skip(reason)
     return peer

@@ -64,20 +64,20 @@ def test_a_mirror_shows_the_colours_of_the_sky():
     polar, azimuth = polar_and_azimuth(32)
     sky = np.stack([1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar], axis=-1)
     view = wd.View.orthographic((2.0, 3.0, 1.0), (0.0, 0.0, 0.0), extent_y=0.06, width=8, height=6)
-    found = SkySums(floor(), FLAT, view, WINDOW).under_sky(PIXELS, np.maximum(sky, 0.0), 96, 0).mean(axis=0)
+    result = SkySums(floor(), FLAT, view, WINDOW).under_sky(PIXELS, np.maximum(sky, 0.0), 96, 0).mean(axis=0)
     polar, azimuth = math.atan2(math.hypot(2.0, 1.0), 3.0), math.atan2(-2.0, 1.0)
     shown = [1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar]
-    np.testing.assert_allclose(found, colorimetry.RGB_TO_XYZ @ shown, rtol=0.02)
+    np.testing.assert_allclose(result, colorimetry.RGB_TO_XYZ @ shown, rtol=0.02)
 
 
 def test_a_mirror_under_a_wide_disc_light_reflects_its_whole_lobe():
     light = wd.DirectionalLight(tuple(AXIS), power=2.0, angular_diameter_deg=10.0)
-    found = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
+    result = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
     # The integral of 4πσ²/λ² times the reflectance over all directions is 1.
     um = 1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1)
     products = colorimetry.colour_products("D65")
     lobe = um**2 @ products / products[:, 1].sum() / (4.0 * math.pi * SIGMA_UM**2)
-    np.testing.assert_allclose(found, 2.0 * lobe / (2.0 * math.pi * (1.0 - math.cos(math.radians(5.0)))), rtol=0.02)
+    np.testing.assert_allclose(result, 2.0 * lobe / (2.0 * math.pi * (1.0 - math.cos(math.radians(5.0)))), rtol=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -136,7 +136,7 @@ def blas_threads():
 def two_threads():
     with threadpool_limits(limits=2, user_api="blas"):
         if 2 not in blas_threads():
-            pytest.skip("NumPy's library has no threads here")
+            pytest.skip("the linear-algebra library of NumPy has no threads")
         yield
 
 

@@ -18,7 +18,7 @@ devices.resolve_device(None)
 CLOSED = "import os; from warpdiff.device import devices; os.close(2); devices.resolve_device(None); print('done')"
 
 
-@pytest.mark.skipif(os.name != "posix", reason="numbers of streams are POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="file descriptors require POSIX")
 @pytest.mark.parametrize(
     ("code", "errors", "output"),
     [(CODE, "before\na line\nanother line\nafter\n", ""), (CLOSED, "", "done\n")],

@@ -96,7 +96,7 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     """Return the largest error of the kernel over random directions and wavelengths, in units of the allowed error."""
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
-    # With few directions, here the ends of the range, a plan has the terms of its upper bounds, which suffice.
+    # A plan for few directions, here the ends of the range, uses upper bounds, which provide enough terms.
     uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
     ends = [uv.argmax(), w.argmin(), w.argmax()]
     options = {"coherence": coherence, "method": method}

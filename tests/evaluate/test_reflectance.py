@@ -30,8 +30,8 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
     colours = wd.reflectance(line, lights, views, progress=shares.append, **options)
     exact = reference.reference_reflectance(line, lights, views, SHORT, tolerance=1e-4)
     assert not colours[3].any()
-    lit = np.arange(5) != 3
-    assert relative_errors(colours[lit], exact[lit]).max() < 1e-3
+    illuminated = np.arange(5) != 3
+    assert relative_errors(colours[illuminated], exact[illuminated]).max() < 1e-3
     # Directions below the horizon are not computed, so progress has four steps for five directions.
     np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
 

@@ -103,7 +103,7 @@ def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     assert pixels.dtype == dtype
     levels = 2**bits - 1
     np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
-    assert not pixels[0].any(), "the background is to be transparent"
+    assert not pixels[0].any(), "the background must be transparent"
     # The test computes sRGB by IEC 61966-2-1; PNG colours are not multiplied by alpha. Automatic exposure maps the mean
     # luminance to 0.7 for ACES and to 0.5 for other displays.
     exposure = exposure or image.auto_exposure * 0.5 / 0.7
@@ -111,7 +111,7 @@ def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     linear = np.clip(linear, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     assert np.max(np.abs(pixels[1:, :, :3] - encoded * levels)) <= 0.5 + 1e-3
-    assert pixels[3, 3, 0] == 0, "negative components are to be clipped"
+    assert pixels[3, 3, 0] == 0, "negative components must be clipped"
 
 
 def test_automatic_exposure_maps_the_mean_of_illuminated_pixels_to_0_7(plan, rng):
@@ -263,7 +263,7 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
 @contextlib.contextmanager
 def largest_file(size):
     """Limit the size of written files, as a full disk does. The limit is lifted before the test report is written."""
-    resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
+    resource = pytest.importorskip("resource", reason="file size limits require POSIX")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     # Python ignores the signal SIGXFSZ, so writing beyond the limit fails with an error.
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -315,7 +315,7 @@ def test_a_full_disk_is_reported(plan, rng, name, tmp_path):
     image = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     mount = ["mount", "-t", "tmpfs", "-o", "size=8k", "tmpfs", str(tmp_path)]
     if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small file system cannot be mounted here; that takes root")
+        pytest.skip("mounting a small file system requires root")
     try:
         cannot_save(image, tmp_path, name)
     finally:
@@ -323,7 +323,7 @@ def test_a_full_disk_is_reported(plan, rng, name, tmp_path):
 
 
 def test_saving_does_not_change_the_umask(image, tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("another thread's files would get this umask"))
+    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("the umask of the process is changed"))
     image.save(tmp_path / "a.png")
 
 

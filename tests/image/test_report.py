@@ -42,7 +42,9 @@ def test_unrefined_pictures_have_no_shares_of_unconverged_pixels():
 
 def test_errors_are_percentiles_of_illuminated_pixels():
     error = np.arange(1000, dtype=np.float32).reshape(20, 50)
-    lit = error < 101.0
-    result = report_of(error, lit, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
+    illuminated = error < 101.0
+    result = report_of(error, illuminated, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
     assert result.errors == pytest.approx((50.0, 99.0))
-    assert report_of(error, lit & False, None, tolerance=0.1, refined_share=0.0, light_sample_count=3).errors == (0, 0)
+    assert report_of(
+        error, illuminated & False, None, tolerance=0.1, refined_share=0.0, light_sample_count=3
+    ).errors == (0, 0)

@@ -61,7 +61,7 @@ def compiler():
     wp.init()
     missing = set(SMS) - set(wp.get_cuda_supported_archs())
     if missing:
-        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{missing.pop()}")
+        pytest.skip(f"this build of Warp has no CUDA compiler for sm_{missing.pop()}")
 
 
 @pytest.fixture
@@ -84,17 +84,17 @@ def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
 def entry_points(ptx: str) -> set[str]:
     """Return the names of the kernels in PTX, without hashes and without the name of the enclosing function."""
     entries = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
-    assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
+    assert "_cuda_kernel_backward" not in ptx, "kernels must have enable_backward=False"
     return {name.rpartition("locals__")[2] for name in entries}
 
 
 def test_every_kernel_module_is_listed_in_this_file():
     folder = Path(kernels.__file__).parent
     names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
-    assert names == set(KERNELS) | FUNCTIONS_ONLY | WITHOUT_WARP, "a kernel module was added: compile it here"
+    assert names == set(KERNELS) | FUNCTIONS_ONLY | WITHOUT_WARP, "list new kernel modules in this file"
     for name in names:
         declared = re.findall(r"@wp\.kernel.*\n\s*def (\w+)", (folder / f"{name}.py").read_text())
-        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
+        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: list new kernels in this file"
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)

@@ -285,7 +285,7 @@ def test_neighbours_of_refined_pixels_stay_unchanged():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
-    # The refined pixels are at the ends of bit-mask words and of picture rows.
+    # The refined pixels are at the ends of words of the bit mask and at the ends of picture rows.
     pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
     cells = pixel_filter.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))
     count = 16 * len(pixels)

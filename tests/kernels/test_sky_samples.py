@@ -76,7 +76,7 @@ def results():
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
 def test_points_of_each_square_of_cells_are_a_net(size, results):
-    """Each aligned run of 2ⁿ points has one point in each of 2ⁿ boxes of equal area, for every shape of the boxes."""
+    """Each run of 2ⁿ points, from a multiple of 2ⁿ on, has one point in each of 2ⁿ boxes of equal area."""
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):
             boxes = (points * [across, size // across]).astype(int)

@@ -77,18 +77,18 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     y = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
     rays = x[None, :, None] * frame.right + y[:, None, None] * frame.up - frame.back
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    lit = point.illuminated & (point.xyz[..., 1] > 0.0)
-    towards = frame.origin + point.layers["depth"][lit][:, None] * rays[lit] - position
+    illuminated = point.illuminated & (point.xyz[..., 1] > 0.0)
+    towards = frame.origin + point.layers["depth"][illuminated][:, None] * rays[illuminated] - position
     profile = np.maximum(towards @ AXIS / np.linalg.norm(towards, axis=1), 0.0) ** 8
     assert profile.min() < 0.5 < profile.max()
-    ratios = spot.xyz[lit][:, 1] / (profile * point.xyz[lit][:, 1])
+    ratios = spot.xyz[illuminated][:, 1] / (profile * point.xyz[illuminated][:, 1])
     assert len(ratios) > 500
     assert np.median(ratios) == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(np.percentile(ratios, (1.0, 99.0)), 1.0, atol=1e-2)
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """A recording of launches contains the spotlight's position and axis by value."""
+    """Recorded launches contain the spotlight's position and axis by value."""
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]

@@ -32,7 +32,7 @@ def points_of(light, count):
     aside /= np.linalg.norm(aside)
     other = np.cross(axis, aside)
     rings = round(math.sqrt(count / math.pi))
-    found = []
+    result = []
     for ring in range(rings):
         # Each ring of equal width has a number of lights proportional to its length, which share its solid angle.
         inner, outer = radius * ring / rings, radius * (ring + 1) / rings
@@ -42,8 +42,8 @@ def points_of(light, count):
             around = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / points
             across = math.cos(around) * aside + math.sin(around) * other
             towards = math.cos(middle) * axis + math.sin(middle) * across
-            found.append(wd.DirectionalLight(tuple(towards), power=share))
-    return found
+            result.append(wd.DirectionalLight(tuple(towards), power=share))
+    return result
 
 
 @pytest.mark.parametrize("diameter", [0.53, 5.0, 40.0])
@@ -100,8 +100,8 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     count = len(towards)
     assert weights.sum() / count == pytest.approx(1.0, abs=0.02)
     for values, ends in ((share, (0.0, 1.0)), (around, (-math.pi, math.pi))):
-        found = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
-        np.testing.assert_allclose(found, 0.125, atol=0.012)
+        result = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
+        np.testing.assert_allclose(result, 0.125, atol=0.012)
 
 
 @pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), slow(20.0, 320, 0.02, 0.1)])
@@ -110,15 +110,15 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
     body = wd.meshes.tube(segments_along=48, segments_around=36)
     options = {"tolerance": 1e-1, "coherence": SHORT, "pigment": 0.0, "shadows": False, "refine": False}
     exact = wd.shade(body, fingers, points_of(light, count), VIEW, **options)
-    found = wd.shade(body, fingers, light, VIEW, plan=exact.plan, **options | {"coherence": None})
-    seen = exact.illuminated & found.illuminated
-    errors = relative_errors(found.xyz[seen], exact.xyz[seen])
+    result = wd.shade(body, fingers, light, VIEW, plan=exact.plan, **options | {"coherence": None})
+    visible = exact.illuminated & result.illuminated
+    errors = relative_errors(result.xyz[visible], exact.xyz[visible])
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
     # A directional light without an angular diameter gives a clearly different picture from a disc light.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
-    others = relative_errors(point.xyz[seen], exact.xyz[seen])
+    others = relative_errors(point.xyz[visible], exact.xyz[visible])
     assert np.percentile(errors, 90.0) < 0.7 * np.percentile(others, 90.0)
 
 
@@ -165,8 +165,8 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     visible = 0.5 + (np.arcsin(cut) + cut * np.sqrt(1.0 - cut**2)) / math.pi
     rows = np.flatnonzero((visible > 0.05) & (visible < 0.95))
     assert len(rows) >= 6
-    found = shown[rows, 8:16, 1].sum(axis=1) / bare[rows, 8:16, 1].sum(axis=1)
-    np.testing.assert_allclose(found, visible[rows], atol=0.04)
+    result = shown[rows, 8:16, 1].sum(axis=1) / bare[rows, 8:16, 1].sum(axis=1)
+    np.testing.assert_allclose(result, visible[rows], atol=0.04)
 
 
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():

@@ -55,9 +55,9 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     window = wd.Coherence(sigma_um=4.0)
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
-    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
+    result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
     # All pixels have the same colour but different samples, so the mean of the pixels has only the error of the table.
-    found = found.mean(axis=(0, 1))
+    result = result.mean(axis=(0, 1))
     # With dω cos θ = du dv, each direction of a grey sky adds ρ L dω 4πσ²/λ², with the spectrum of D65.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
@@ -70,7 +70,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     )  # fmt: skip
     radiance = 1.0 + 0.8 * lights[:, 1] + 0.5 * np.sin(3.0 * lights[:, 0] + 1.0)
     exact = step**2 * per_luminance * (radiance / lights[:, 2]) @ rho
-    assert found == pytest.approx(exact, rel=within)
+    assert result == pytest.approx(exact, rel=within)
 
 
 def test_a_sun_in_a_black_sky_equals_a_sum_over_its_directions(square):
@@ -94,8 +94,8 @@ def test_a_sun_in_a_black_sky_equals_a_sum_over_its_directions(square):
     )  # fmt: skip
     exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
     sky = wd.Environment(radiance, rotation_deg=150.0, directions=64)
-    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
-    assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
+    result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
+    assert np.linalg.norm(result - exact) < 0.04 * np.linalg.norm(exact)
 
 
 def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(square):
@@ -123,7 +123,7 @@ def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(square):
 def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square):
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
-    found = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
+    result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
     # The mirror's lobe is a Gaussian in (u, v), and dω cos θ = du dv. The sum has equal steps in the angle of the
     # light.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
@@ -136,7 +136,7 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     products = colorimetry.colour_products("D65")[:, 1]
     exact = (shares / deviation[:, 0]) @ products / products.sum()
     assert exact < 0.8
-    assert found == pytest.approx(exact, rel=0.02)
+    assert result == pytest.approx(exact, rel=0.02)
 
 
 def test_a_rotated_sky_is_rotated_in_a_mirror(square):
@@ -214,7 +214,7 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     grey = 1.2 + along[..., 0]
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=640)
     options = UNDER | {"ior": 1.5, "smooth": False}
-    found = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
+    result = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
     spectrum, per_luminance = spectrum_of_a_sky(8.0)
     lamps = [
         wd.DirectionalLight(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
@@ -225,10 +225,10 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     ]
     options |= {"footprint": False}
     exact = [wd.shade(book, flat, lamps, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
-    below, wanted = found[1] - found[0], exact[1] - exact[0]
-    seen = wanted[..., 1] > 0.0
-    assert seen.sum() > 60
-    away = np.linalg.norm(below[seen] - wanted[seen], axis=1) / np.linalg.norm(wanted[seen], axis=1)
+    below, expected = result[1] - result[0], exact[1] - exact[0]
+    visible = expected[..., 1] > 0.0
+    assert visible.sum() > 60
+    away = np.linalg.norm(below[visible] - expected[visible], axis=1) / np.linalg.norm(expected[visible], axis=1)
     # The reference has point-like lights 11° apart, each completely visible or occluded, which limits its accuracy.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.09
@@ -249,13 +249,13 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
     for refine, median, most in ((False, 0.04, 0.2), (True, 0.06, 0.15)):
-        found = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
+        result = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
         at = pixels[:, 0], pixels[:, 1]
-        away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
+        away = np.linalg.norm(result.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
         # Where the true error is above 0.1, the error image reports at least half of it.
-        assert (found.error[at] > 0.5 * away)[away > 0.1].all()
+        assert (result.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 
 

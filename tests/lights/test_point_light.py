@@ -31,7 +31,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
         np.array(VIEW.eye) * size, (0, 0, 0), extent_y=1.6 * size, width=VIEW.width, height=VIEW.height
     )
     points = OPTIONS | {"footprint": False, "plan": wd.plan(fingers, coherence=WINDOW, tolerance=3e-2)}
-    found = wd.shade(body, fingers, wd.PointLight(tuple(position), power=size**2), view, **points)
+    result = wd.shade(body, fingers, wd.PointLight(tuple(position), power=size**2), view, **points)
     frame = view.frame()
     across = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
     upward = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
@@ -41,7 +41,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
         away = position - met
         light = wd.DirectionalLight(tuple(away), power=size**2 / float(away @ away))
         expected = wd.shade(body, fingers, light, view, **points).xyz[row, column]
-        assert found.xyz[row, column] == pytest.approx(expected, rel=2e-3)
+        assert result.xyz[row, column] == pytest.approx(expected, rel=2e-3)
 
 
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
@@ -60,10 +60,10 @@ def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
 def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=0.02, width=3, height=3)
-    for distance, seen in ((1.0, 2.0), (2.0, 0.5)):
+    for distance, luminance in ((1.0, 2.0), (2.0, 0.5)):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
-        assert image.xyz[1, 1, 1] == pytest.approx(seen, rel=1e-2)
+        assert image.xyz[1, 1, 1] == pytest.approx(luminance, rel=1e-2)
     # The pigment's brightness has the same falloff with distance from a point light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
@@ -123,8 +123,8 @@ def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
     options = OPTIONS | {"refine": False}
     renderer = wd.Renderer(square(), fingers, wd.DirectionalLight((0.1, 0.2, 1.0)), VIEW, **options)
     renderer.draw(light)
-    found = renderer.image()
+    result = renderer.image()
     expected = wd.shade(square(), fingers, light, VIEW, plan=renderer.plan, **options)
-    assert np.array_equal(found.xyz, expected.xyz)
+    assert np.array_equal(result.xyz, expected.xyz)
     on_the_surface = wd.shade(square(), fingers, wd.PointLight((0.1, 0.1, 0.0)), VIEW, plan=renderer.plan, **options)
     assert np.isfinite(on_the_surface.xyz).all()

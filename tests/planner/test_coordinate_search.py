@@ -1,4 +1,4 @@
-"""Coordinate search on trials with closed-form errors: comparison with an exhaustive search, and single steps."""
+"""Coordinate search with closed-form errors of plans: comparison with an exhaustive search, and single steps."""
 
 import dataclasses
 import itertools
@@ -26,7 +26,7 @@ def start(fingers):
 
 
 class ClosedForm:
-    """Trial with a closed-form error: the sum of the errors of terms, neighbourhood and two parts of the bandwidth."""
+    """Stand-in for a trial of plans. The error is the sum of errors of terms, neighbourhood and bandwidth."""
 
     integrates, max_order_rate, bright = True, 1.0, (math.inf, math.inf)
     validation_set = range(7)
@@ -39,7 +39,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the errors caused by the number of terms, the neighbourhood and the bandwidth."""
+        """Return the errors caused by the number of terms, by the neighbourhood and by the bandwidth."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -124,7 +124,7 @@ def test_steps_beyond_the_fewest_wavelengths_are_withdrawn(fingers, start):
 
 
 class Steps:
-    """Trial whose validation error is a function of the additional terms and wavelengths of a plan."""
+    """Stand-in for a trial of plans. The error is a given function of the added terms and wavelengths."""
 
     rates = np.array([0.5]), np.array([1.0]), np.ones(1)
 

@@ -87,7 +87,7 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
 
 
 def test_directions_cost_as_many_wavelengths_as_they_require():
-    """Sets of wavelengths come in steps. On average a direction uses half a step more than it requires."""
+    """The sizes of wavelength sets are geometric steps. A direction uses on average half a step more than required."""
     heightfield = noise((6, 16))
     plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
     plan = dataclasses.replace(plan, wavelengths=400, bandwidth_um=(200.0, 20.0, 10.0))

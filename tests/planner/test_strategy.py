@@ -89,7 +89,7 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """A table is compared with a search: 1/2.6 of the bounds' cost, plus the cost of 16,000 directions."""
+    """A table may cost what it saves in three calls, compared with a search, which costs 16,000 directions."""
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
     bounded = wd.plan(fingers, at_angle(0.0), at_angle(30.0), coherence=settings.coherence, tolerance=1e-1)
@@ -152,7 +152,7 @@ def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_hal
 def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """Tables for footprint means may have 1.6 times the error, because means have smaller errors than points."""
+    """Tables for footprint means need no safety factor of 1.6, because means have smaller errors than points."""
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
     upper = bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)

@@ -1,4 +1,4 @@
-"""Choice of the table size on trials with closed-form errors: the smallest sufficient table, in few steps."""
+"""Choice of the table size with closed-form errors: the smallest sufficient table, in few steps."""
 
 import dataclasses
 import math
@@ -25,7 +25,7 @@ def plan(fingers):
 
 
 class Tables:
-    """Trial with a closed-form table error, by default of second order in the ring spacing.
+    """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
     Tables meet the target from ``sufficient`` rings per octave on. Sampled plans have an error that depends on their
     terms.

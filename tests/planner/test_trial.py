@@ -1,4 +1,4 @@
-"""Trials: the values of a trial equal those of the public functions, and errors are percentiles."""
+"""Trials evaluate plans on sampled directions: their values equal those of the public functions."""
 
 import dataclasses
 import math
@@ -19,7 +19,7 @@ ILLUMINANTS = "D65", "A"
 
 
 def trial_of(request, lights, views):
-    """Return the trial of a call, and the plan from upper bounds."""
+    """Return the trial of a call, which evaluates plans on sampled directions, and the upper-bound plan."""
     direction_range, sample, _ = strategy.directions_of(request, lights, views)
     coarse = strategy._coarse_plan(request, direction_range)
     upper = strategy.bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -29,7 +29,7 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """Return a trial of 60 directions under two illuminants, its plan, and the directions."""
+    """Return a trial of plans on 60 directions under two illuminants, the plan, and the directions."""
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
     request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)

@@ -57,14 +57,14 @@ def kernel_gain(lights, views, normal, masking, device):
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):
         setattr(pixels, name, array(np.tile(axis, (count, 1))))
     pixels.to_view = array(views)
-    found = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
+    result = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
         inputs = [pixels, given, i, array([], wp.vec4f), reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
-        wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
+        wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*result, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
-    np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)
-    return found[2].numpy()
+    np.testing.assert_allclose(result[0].numpy(), -lights - unit_views, atol=1e-12)
+    return result[2].numpy()
 
 
 def power_width(coherence):
@@ -86,9 +86,9 @@ def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     normal = reflectance_factors.normal_reflectance(ior)
-    found = kernel_gain(unit_lights, views, normal, masking, device)
+    result = kernel_gain(unit_lights, views, normal, masking, device)
     formula = reflectance_factors.gain(unit_lights, unit_views, normal=normal, masking=masking)
-    np.testing.assert_allclose(found, formula, rtol=1e-6)
+    np.testing.assert_allclose(result, formula, rtol=1e-6)
 
     half = unit_lights + unit_views
     half /= np.linalg.norm(half, axis=1, keepdims=True)
@@ -102,8 +102,8 @@ def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
             cos_h = half[:, 2]
             expected = expected * np.minimum(1.0, 2.0 * cos_h * np.minimum(cos_r, cos_i) / cos_d)
     expected[(cos_i <= 0.0) | (cos_r <= 0.0)] = 0.0
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
-    assert np.all(np.isfinite(found))
+    np.testing.assert_allclose(result, expected, rtol=1e-5)
+    assert np.all(np.isfinite(result))
 
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])

@@ -122,10 +122,10 @@ def test_geometries_are_numbered_by_the_scenes_nodes():
         scene.add_geometry(mesh, node_name=name, transform=trimesh.transformations.translation_matrix((x, 0, 0)))
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.4, width=48, height=14)
     with pytest.warns(wd.WarpdiffWarning, match="no area"):
-        found = shade(scene, view).layers["geometry"]
+        result = shade(scene, view).layers["geometry"]
     assert list(scene.graph.nodes_geometry) == ["left", "middle", "right"]
-    assert [found[7, column] for column in (9, 24, 39)] == [0, 1, 2]
-    assert set(np.unique(found)) == {-1, 0, 1, 2}
+    assert [result[7, column] for column in (9, 24, 39)] == [0, 1, 2]
+    assert set(np.unique(result)) == {-1, 0, 1, 2}
 
 
 def test_facets_show_their_own_normals():

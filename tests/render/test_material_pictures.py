@@ -23,9 +23,9 @@ def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, f
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
     plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
     assert plan.rings_per_octave > 0
-    found = wd.reflectance(fingers, lights, views, plan=plan, material=MATERIALS[name])
+    result = wd.reflectance(fingers, lights, views, plan=plan, material=MATERIALS[name])
     exact = reference.reference_reflectance(fingers, lights, views, coherence, tolerance=1e-3, material=MATERIALS[name])
-    assert np.percentile(relative_errors(found, exact), 99.0) <= tolerance
+    assert np.percentile(relative_errors(result, exact), 99.0) <= tolerance
     mirror = reference.reference_reflectance(fingers, lights[:20], views[:20], coherence, tolerance=1e-2, ior=np.inf)
     assert np.median(np.linalg.norm(mirror - exact[:20], axis=1) / np.linalg.norm(exact[:20], axis=1)) > 0.1
 
@@ -34,9 +34,9 @@ def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, f
 def test_replicated_periods_of_gold_meet_their_tolerance(fingers, rng):
     heightfield, coherence = fingers.cropped(4.0), wd.Coherence("replicas", periods=(3, 5))
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
-    found = wd.reflectance(heightfield, lights, views, coherence=coherence, material=GOLD)
+    result = wd.reflectance(heightfield, lights, views, coherence=coherence, material=GOLD)
     exact = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-3, material=GOLD)
-    assert np.max(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)) < 1e-2
+    assert np.max(np.linalg.norm(result - exact, axis=1) / np.linalg.norm(exact, axis=1)) < 1e-2
 
 
 def test_a_material_without_reflection_is_black_with_a_table(fingers, rng):
@@ -83,9 +83,9 @@ def test_the_direct_sum_of_two_materials_is_that_of_other_methods():
     heightfield, view = wd.gratings.sinusoidal(1.2, 0.1), wd.View((0, 0, 5), (0, 0, 0), width=16, height=12)
     options = {"coherence": SHORT, "material": {"lower": SILVER, "upper": GOLD}, "footprint": False, "tolerance": 1e-2}
     direct = wd.shade(scene(), heightfield, LIGHTS, view, method="direct", **options)
-    found = wd.shade(scene(), heightfield, LIGHTS, view, **options)
+    result = wd.shade(scene(), heightfield, LIGHTS, view, **options)
     assert direct.xyz.max() > 0.0
-    assert np.linalg.norm(found.xyz - direct.xyz, axis=-1).max() < 1e-2 * np.linalg.norm(direct.xyz, axis=-1).max()
+    assert np.linalg.norm(result.xyz - direct.xyz, axis=-1).max() < 1e-2 * np.linalg.norm(direct.xyz, axis=-1).max()
 
 
 def test_geometries_without_a_material_are_refused(fingers):

@@ -93,10 +93,10 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
     mesh, camera, exact = truth
     for tolerance in (1e-1, 3e-2):
         image = wd.shade(mesh, fingers, LIGHT, camera, plan=dataclasses.replace(table, tolerance=tolerance))
-        found = errors(image, exact)
-        assert len(found) > 100
-        assert np.percentile(found, 99.0) < tolerance
-        assert np.median(found) < 0.25 * tolerance
+        result = errors(image, exact)
+        assert len(result) > 100
+        assert np.percentile(result, 99.0) < tolerance
+        assert np.median(result) < 0.25 * tolerance
         assert 0.0 < image.report.refined_share < 1.0
         assert f"meets its tolerance of {tolerance:g}" in str(image.report).splitlines()[0]
 
@@ -122,11 +122,11 @@ def test_more_cells_are_never_worse(truth, fingers, table):
     """Pixels summed over points, for coherence models without a table for footprint means, are tested, too."""
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
-        found = [
+        result = [
             errors(wd.shade(mesh, fingers, LIGHT, camera, plan=plan, samples_per_pixel=n, refine=False), exact)
             for n in ((1, 4, 16, 64) if plan.uses_footprints else (16, 64))
         ]
-        for one, more in itertools.pairwise(found):
+        for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
                 # More cells cannot reduce the error below that of the table.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
@@ -176,10 +176,10 @@ def test_pictures_without_a_table_for_means_sum_points(fingers):
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
     plan = dataclasses.replace(plan, tolerance=5e-2)
-    found = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
-    assert found.plan.footprint
-    assert not found.plan.uses_footprints
-    assert np.percentile(errors(found, exact), 95.0) < 5e-2
+    result = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
+    assert result.plan.footprint
+    assert not result.plan.uses_footprints
+    assert np.percentile(errors(result, exact), 95.0) < 5e-2
 
 
 @pytest.mark.parametrize("method", ["auto", "low-rank", "jacobi-anger"])
@@ -233,16 +233,16 @@ def test_pictures_do_not_depend_on_threads_or_parts(fingers, table, monkeypatch)
     mesh = BODIES["lumpy"]()
     expected = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     for threads in (1, 3):
-        found = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
-        np.testing.assert_array_equal(found.xyz, expected.xyz)
-        np.testing.assert_array_equal(found.error, expected.error)
+        result = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
+        np.testing.assert_array_equal(result.xyz, expected.xyz)
+        np.testing.assert_array_equal(result.error, expected.error)
     # Small limits make the renderer split the picture into parts, as if little memory were free.
     monkeypatch.setattr(pixel_filter, "_MOST_RASTERIZED", 1024)
-    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
-    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    result = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    np.testing.assert_array_equal(result.xyz, expected.xyz)
     monkeypatch.setattr(threaded_tiles, "_MOST_PIXELS", 300)
-    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
-    assert np.percentile(np.linalg.norm(found.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
+    result = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    assert np.percentile(np.linalg.norm(result.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
 
 
 def test_lights_and_pigments_add_up(fingers, table):
@@ -286,7 +286,7 @@ ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 def estimate_by_hand(colours, uv, hit, floor, bound):
     """Compute the result of the kernel ``estimate_errors`` pixel by pixel."""
     height, width = hit.shape
-    found, wanted, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
+    result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
         near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
         near = [(y, x) for y, x in near if 0 <= y < height and 0 <= x < width]
@@ -313,10 +313,10 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                     + refinement_levels.CONTRAST_PER_UNEVENNESS * uneven
                     + refinement_levels.CONTRAST_PER_CHANGE * wide
                 )
-            found[row, column] = min(share, 1.0) * contrast
+            result[row, column] = min(share, 1.0) * contrast
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
-        wanted[row, column] = any(hits) and (rim or found[row, column] > limit)
-    return found, wanted
+        marks[row, column] = any(hits) and (rim or result[row, column] > limit)
+    return result, marks
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
@@ -335,13 +335,13 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"), size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip
-    found = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
+    result = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        wp.launch(kernels.estimate_errors, (1, 1), inputs, [found, wanted], device="cpu")
+        wp.launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
     expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3)
-    np.testing.assert_allclose(found.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])
 

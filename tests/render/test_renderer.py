@@ -137,14 +137,14 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     drawn.draw(previews={0.4: lambda: shares.append(shares[-1])}, progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
-    found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
+    result, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
                     for each in (lights, lights[::-1]))  # fmt: skip
-    same(drawn.image(), found)
-    np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
-    np.testing.assert_array_equal(found.mask, other.mask)
+    same(drawn.image(), result)
+    np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
+    np.testing.assert_array_equal(result.mask, other.mask)
     # Coverage is that of the finest cells, or of the last light if levels are equal, so the order of lights matters.
-    np.testing.assert_allclose(found.coverage, other.coverage, atol=0.01)
+    np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
 def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
@@ -168,11 +168,11 @@ def test_a_replayed_disc_light_equals_that_of_shade(painted, fingers, plans, rec
     light = dataclasses.replace(DISC, to_light=(0.6, 0.8, 0.9), angular_diameter_deg=9.3)
     drawn.draw(light, view(0.3, size))
     expected = wd.shade(painted, fingers, light, view(0.3, size), plan=plans["footprints"])
-    found = drawn.image()
+    result = drawn.image()
     floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
-    differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
+    differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
     assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance
-    assert np.mean(found.illuminated != expected.illuminated) <= 0.01
+    assert np.mean(result.illuminated != expected.illuminated) <= 0.01
     assert len(recorded) == 1
 
 
@@ -192,11 +192,11 @@ def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together
     size, plan = (16, 12), dataclasses.replace(plans["footprints"], tolerance=0.2)
     drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(size=size), plan=plan, threads=1)
     drawn.draw(lights)
-    found, expected = drawn.image(), wd.shade(tube, fingers, lights, view(size=size), plan=plan)
-    same_places = found.illuminated & expected.illuminated
+    result, expected = drawn.image(), wd.shade(tube, fingers, lights, view(size=size), plan=plan)
+    same_places = result.illuminated & expected.illuminated
     assert same_places.sum() > 20
     size = np.linalg.norm(expected.xyz[same_places], axis=1)
-    differ = np.linalg.norm(found.xyz - expected.xyz, axis=2)[same_places] / size
+    differ = np.linalg.norm(result.xyz - expected.xyz, axis=2)[same_places] / size
     assert np.percentile(differ, 90.0) < 0.1 * plan.tolerance
 
 
@@ -213,17 +213,17 @@ def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, 
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})
-    asked = {0.2: print}
-    asked[0.4] = asked.clear
-    drawn.draw(previews=asked)
-    assert not asked
+    requested = {0.2: print}
+    requested[0.4] = requested.clear
+    drawn.draw(previews=requested)
+    assert not requested
     same(drawn.image(), before)
 
 
 def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["points"])
     before = drawn.image()
-    drawn.draw(previews={0.5: lambda: pytest.fail("it is none")})
+    drawn.draw(previews={0.5: lambda: pytest.fail("a preview is shown")})
     same(drawn.image(), before)
 
 
@@ -236,14 +236,14 @@ def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name
     beside = wd.View((0.0, 0.0, 5.0), (0.0, 4.5, 4.0), up=(0, 0, 1), fov_y_deg=20.0, **size)
     within = wd.View((0.2, 0.0, 0.1), (1.0, 0.0, 0.0), **size)
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], near, plan=plans[plan], **options)
-    seen = []
+    covered = []
     for camera in (far, near, beside, near, within, far, beside):
         drawn.draw(view=camera)
         expected = wd.shade(tube, fingers, LIGHTS[:count], camera, plan=plans[plan], **options)
         same(drawn.image(), expected)
         np.testing.assert_array_equal(expected.xyz[~expected.mask], 0.0)
-        seen.append(np.count_nonzero(expected.mask))
-    assert 0 == seen[2] == seen[6] < seen[0] == seen[5] < seen[1] == seen[3] < seen[4]
+        covered.append(np.count_nonzero(expected.mask))
+    assert 0 == covered[2] == covered[6] < covered[0] == covered[5] < covered[1] == covered[3] < covered[4]
 
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
@@ -322,21 +322,21 @@ def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, c
     for angle in (0.4, -0.3):
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
-        found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
+        result, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
         # Replay knows the brightness that selects pixels for refinement only to 1/128. Rays traced through the
         # hierarchy may
         # miss a face at its edge.
         few = 0.01 if drawn.plan.footprint else 0.0
-        assert np.mean(found.illuminated != expected.illuminated) <= few
-        assert np.mean(found.coverage != expected.coverage) <= few
-        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
+        assert np.mean(result.illuminated != expected.illuminated) <= few
+        assert np.mean(result.coverage != expected.coverage) <= few
+        differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
         # Converged pixels use the cells of their neighbours, so each differently refined pixel changes those around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
-        assert found.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
+        assert result.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
     assert len(recorded) == 1
     if name == "footprints" and "samples_per_pixel" not in options:
-        assert found.report.refined_share > 0.1
+        assert result.report.refined_share > 0.1
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])

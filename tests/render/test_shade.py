@@ -46,7 +46,7 @@ def snake_view(width=96, height=72):
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
     """Return the errors of the picture at each tolerance, on stratified random pixels."""
     body = reference.Body.of(prepare_surface(mesh))
-    found, truth, chosen = [], None, None
+    result, truth, chosen = [], None, None
     for tolerance in tolerances:
         image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
@@ -55,8 +55,8 @@ def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
             truth = reference.reference_picture(*given, tolerance=min(tolerances))
         sure = ~truth.unsure
         np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
-        found.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
-    return found
+        result.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
+    return result
 
 
 TOLERANCES = (1e-1, 1e-2, 1e-3)
@@ -228,7 +228,7 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel():
-    """Only pixels at the rim of the disc have partial coverage. Inside, a smooth function keeps its mean."""
+    """Only pixels at the rim of the disc have partial coverage. Inside, samples do not change the mean brightness."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
     # A narrow window on a flat surface gives one broad lobe.
@@ -406,13 +406,13 @@ def test_an_explicit_plan_is_honoured(snake, fingers):
 def test_progress_grows_to_one(options, snake, fingers):
     size = (4, 3) if "method" in options else (96, 72)
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=size[0], height=size[1])
-    seen = []
+    visible = []
     lights = [SNAKE_LIGHT, wd.DirectionalLight((-0.5, 1.0, 0.4))]
-    wd.shade(snake, fingers, lights, view, coherence=SHORT, tolerance=0.1, progress=seen.append, **options)
-    assert len(seen) > 3
-    assert np.all(np.diff(seen) >= 0.0)
-    assert seen[0] > 0.0
-    assert seen[-1] == 1.0
+    wd.shade(snake, fingers, lights, view, coherence=SHORT, tolerance=0.1, progress=visible.append, **options)
+    assert len(visible) > 3
+    assert np.all(np.diff(visible) >= 0.0)
+    assert visible[0] > 0.0
+    assert visible[-1] == 1.0
 
 
 @pytest.mark.permanent("forks, process pools, callbacks that render or raise")
@@ -436,8 +436,8 @@ def test_progress_may_render_or_fail(threads):
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=fail)
-        found = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=render).xyz
-        np.testing.assert_array_equal(found, expected)
+        result = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=render).xyz
+        np.testing.assert_array_equal(result, expected)
     assert len(nested) > 1
     for each in nested:
         np.testing.assert_array_equal(each, expected)
@@ -459,5 +459,5 @@ def test_threads_that_render_at_once_draw_the_same(tries):
     for _ in tries.of(range(count(3, 15))):
         tries.number += 7
         with ThreadPoolExecutor(8) as pool:
-            found = list(pool.map(render, range(8)))
-        np.testing.assert_array_equal(found, expected)
+            result = list(pool.map(render, range(8)))
+        np.testing.assert_array_equal(result, expected)

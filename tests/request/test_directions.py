@@ -1,4 +1,4 @@
-"""Selection of the directions of a call that the planner evaluates."""
+"""Selection of the directions that the planner evaluates, among all directions of a call."""
 
 import numpy as np
 import pytest

@@ -120,9 +120,9 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = wd.reflectance(rough, lights[part], views[part], plan=plan)
+            result = wd.reflectance(rough, lights[part], views[part], plan=plan)
         floor = FLOOR * reference_luminance(exact[:, 1])
-        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        error = np.linalg.norm(result - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
         assert np.percentile(error, 99.0) <= plan.tolerance
         bright = exact[:, 1] >= floor
         measured = max(np.percentile(error[some], 99.0) for some in (bright, ~bright))
@@ -226,9 +226,9 @@ def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     normal = reflectance_factors.normal_reflectance(1.5)
     gain = reflectance_factors.gain(light[None], view[None], normal=normal, masking=True)[0]
 
-    found = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
-    assert found == pytest.approx(gain * power, rel=1e-4)
-    assert found != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
+    result = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
+    assert result == pytest.approx(gain * power, rel=1e-4)
+    assert result != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "source", "replicas"])
@@ -244,18 +244,18 @@ def test_results_use_the_numbers_of_the_plan(rough, kind):
     changes = [{"wavelengths": 3}, {"terms": 1}]
     changes.append({"subdivisions": 1, "wavelengths": 64} if kind == "replicas" else {"least_weight": 0.5})
     for changed in changes:
-        found = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
-        assert np.linalg.norm(found - expected) > 1e-2 * np.linalg.norm(expected)
+        result = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
+        assert np.linalg.norm(result - expected) > 1e-2 * np.linalg.norm(expected)
     more = dataclasses.replace(full, terms=full.terms + 8, least_weight=1e-13, wavelengths=4 * full.wavelengths)
-    found = wd.reflectance(rough, light, view, plan=more)
-    assert np.linalg.norm(found - expected) < full.tolerance * np.linalg.norm(expected)
+    result = wd.reflectance(rough, light, view, plan=more)
+    assert np.linalg.norm(result - expected) < full.tolerance * np.linalg.norm(expected)
 
 
 def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
     light, view = at_angle(25.0), hemisphere(np.random.default_rng(1), 9)
     plan = wd.plan(rough, light, view, tolerance=3e-2)
-    found = wd.reflectance(rough, light, view, tolerance=3e-2)
-    np.testing.assert_array_equal(found, wd.reflectance(rough, light, view, plan=plan))
+    result = wd.reflectance(rough, light, view, tolerance=3e-2)
+    np.testing.assert_array_equal(result, wd.reflectance(rough, light, view, plan=plan))
     image = wd.reflectance_map(rough, light, size=8, tolerance=3e-2)
     again = wd.reflectance_map(rough, light, size=8, plan=image.plan)
     assert again.plan is image.plan
@@ -308,8 +308,8 @@ def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     options = {"coherence": wd.Coherence(sigma_um=0.5), "tolerance": 1e-4}
     exact = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], method="direct", **options)
-    found = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
-    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
+    result = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
+    np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
 
 
 def test_heights_in_another_unit_are_refused(rough):
@@ -331,8 +331,8 @@ def test_an_explicit_plan_is_used_with_a_warning_beyond_its_range(rough):
     }
     for what, call in calls.items():
         with pytest.warns(wd.WarpdiffWarning, match=f"beyond its valid range: .*{what}"):
-            found = call()
-        assert np.all(np.isfinite(found))
+            result = call()
+        assert np.all(np.isfinite(result))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
@@ -469,8 +469,8 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     assert not plan.is_measured
     assert plan.adaptive
     finest = dataclasses.replace(plan, adaptive=False, wavelengths=8 * plan.wavelengths)
-    found, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
-    assert np.percentile(relative_errors(found, exact), 99.0) <= tolerance
+    result, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
+    assert np.percentile(relative_errors(result, exact), 99.0) <= tolerance
     quadrature = coefficient_table.quadrature_for(rough, plan, IlluminatedMaterial("D65"), device="cpu")
     sizes = np.diff(quadrature.firsts.numpy())
     assert sizes[0] == plan.wavelengths

@@ -71,11 +71,11 @@ def test_a_field_is_an_option_everywhere(tmp_path):
     from bench.dev.write_keywords import keywords
 
     source = copied(tmp_path)
-    found = json.loads(run(tmp_path, PROBE))
-    assert found["signature"] == "sparkle=0.5"
-    assert "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)" in found["help"]
-    assert found["refused"] == "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
-    (control,) = found["viewer"]
+    result = json.loads(run(tmp_path, PROBE))
+    assert result["signature"] == "sparkle=0.5"
+    assert "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)" in result["help"]
+    assert result["refused"] == "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
+    (control,) = result["viewer"]
     assert (control["minimum"], control["maximum"], control["default"]) == (0.0, 2.0, 0.5)
     shown = run(tmp_path, "from warpdiff.apps.cli import main; main(sys.argv[1:])", "render", "--help")
     assert "--sparkle X" in shown
@@ -173,7 +173,7 @@ def test_settings_accept_the_values_that_their_descriptions_allow(values):
     try:
         made = settings.PictureSettings(**values)
     except ValueError as error:
-        # The error of a rule about two options names both of them.
+        # An error message about two options names both of them.
         assert "method" in str(error)  # noqa: PT017
     else:
         for name, value in values.items():

@@ -10,7 +10,7 @@ import pytest
 from endurance import SEED, count, seconds_left
 
 if os.name != "posix":
-    pytest.skip("limits of memory are POSIX", allow_module_level=True)
+    pytest.skip("memory limits require POSIX", allow_module_level=True)
 HERE = Path(__file__).parent
 
 

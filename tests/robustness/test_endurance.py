@@ -1,4 +1,4 @@
-"""Long tests of a soak: memory over thousands of calls, and processes that compile the same kernels simultaneously."""
+"""Long tests of a soak test: memory over thousands of calls, and processes that compile kernels simultaneously."""
 
 import hashlib
 import os
@@ -13,7 +13,7 @@ from endurance import IS_SOAK
 import warpdiff as wd
 
 if not IS_SOAK:
-    pytest.skip("runs by make soak", allow_module_level=True)
+    pytest.skip("make soak runs these tests", allow_module_level=True)
 FOLDER = Path(__file__).parent
 MOST_GROWTH = 100 << 20
 

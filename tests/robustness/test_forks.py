@@ -24,7 +24,7 @@ from warpdiff.core.threads import parallel_for
 from warpdiff.device import devices
 
 if not hasattr(os, "fork"):
-    pytest.skip("this system has no forks", allow_module_level=True)
+    pytest.skip("this system cannot fork processes", allow_module_level=True)
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),

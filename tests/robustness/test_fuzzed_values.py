@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 import warpdiff as wd
 
-resource = pytest.importorskip("resource", reason="limits of memory are POSIX")
+resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
 # Functions that need seconds even with valid arguments.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
@@ -75,7 +75,7 @@ def _folder(tmp_path, monkeypatch):
 @contextlib.contextmanager
 def no_hang():
     """Fail the test if the code in the ``with`` block exceeds the time limit."""
-    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"it takes more than {MOST_S} s"))
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"the call exceeds {MOST_S} s"))
     signal.alarm(MOST_S)
     try:
         yield

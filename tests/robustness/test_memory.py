@@ -107,7 +107,7 @@ else:
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="a system that does not tell what is free")
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not report free memory")
 @pytest.mark.parametrize(
     "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
 )

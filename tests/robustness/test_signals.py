@@ -10,7 +10,7 @@ import pytest
 from endurance import IS_SOAK
 
 if os.name != "posix":
-    pytest.skip("signals are POSIX", allow_module_level=True)
+    pytest.skip("these signals require POSIX", allow_module_level=True)
 
 ROW = "SIGINT, SIGTERM and SIGHUP, at many delays"
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")

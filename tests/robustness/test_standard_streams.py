@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 if os.name != "posix":
-    pytest.skip("these streams are POSIX", allow_module_level=True)
+    pytest.skip("these streams require POSIX", allow_module_level=True)
 
 pytestmark = pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 

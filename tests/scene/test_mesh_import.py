@@ -380,7 +380,7 @@ def test_files(tmp_path, fuze_path):
 
 
 def nearly_convex(fault):
-    """Return a mesh that only a few faces distinguish from a convex one."""
+    """Return a mesh that is convex except for a few faces."""
     if fault == "flipped":
         box = trimesh.creation.box().subdivide().subdivide()
         # One face within a side of the box is flipped, where all neighbours are in the same plane.

@@ -17,8 +17,8 @@ import warpdiff as wd
 def _llvm():
     """Return the path of an LLVM library of version 17 or newer, or None."""
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    found = [named] if named else glob.glob("/usr/lib/*/libLLVM*.so*")  # noqa: PTH207
-    versions = {path: max(map(int, re.findall(r"\d+", os.path.basename(path))), default=0) for path in found}  # noqa: PTH119
+    result = [named] if named else glob.glob("/usr/lib/*/libLLVM*.so*")  # noqa: PTH207
+    versions = {path: max(map(int, re.findall(r"\d+", os.path.basename(path))), default=0) for path in result}  # noqa: PTH119
     new = {path: version for path, version in versions.items() if version >= 17}
     return named or max(new, key=new.get, default=None)
 
@@ -74,8 +74,8 @@ def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     exact = wd.brdf(fingers, LIGHT, views, WAVELENGTHS, coherence=WINDOW, tolerance=3e-3) * views[:, 2:]
     context, si = mi.BSDFContext(), interaction()
-    found = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
-    relative = np.abs(found - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
+    result = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
+    relative = np.abs(result - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
     # The cells of the baked spectrum are a quarter of the lobe's standard deviation wide, which limits its accuracy.
     assert np.percentile(relative, 95.0) < 0.05
 
@@ -110,9 +110,11 @@ def test_colours_are_those_of_baked_lobes(lobes_file):
         [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
     )
     exact = exact @ to_rgb.T * views[:, 2:]
-    found = np.array([np.array(bsdf.eval(mi.BSDFContext(), interaction(), mi.Vector3f(*map(float, v)))) for v in views])
+    result = np.array(
+        [np.array(bsdf.eval(mi.BSDFContext(), interaction(), mi.Vector3f(*map(float, v)))) for v in views]
+    )
     size = np.linalg.norm(exact, axis=1)
-    relative = np.linalg.norm(found - exact, axis=1) / np.maximum(size, 1e-2 * np.percentile(size, 95.0))
+    relative = np.linalg.norm(result - exact, axis=1) / np.maximum(size, 1e-2 * np.percentile(size, 95.0))
     assert np.median(relative) < 0.02
     assert np.percentile(relative, 90.0) < 0.1
 
@@ -122,8 +124,8 @@ def chi_square(bsdf):
 
     def sample(numbers):
         count = dr.width(numbers)
-        found, _ = bsdf.sample(mi.BSDFContext(), interaction(count), numbers.x, mi.Point2f(numbers.y, numbers.z))
-        return found.wo, dr.select(found.pdf > 0.0, 1.0, 0.0)
+        result, _ = bsdf.sample(mi.BSDFContext(), interaction(count), numbers.x, mi.Point2f(numbers.y, numbers.z))
+        return result.wo, dr.select(result.pdf > 0.0, 1.0, 0.0)
 
     test = mi.chi2.ChiSquareTest(
         domain=mi.chi2.SphericalDomain(), sample_func=sample,
@@ -153,13 +155,13 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     sampler.seed(1, count)
     _, weights = bsdf.sample(mi.BSDFContext(), interaction(count, to_light), sampler.next_1d(), sampler.next_2d())
     weights = np.array(weights).reshape(4, count)
-    found, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
+    result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
     # Orders within the lobe's width of the horizon are excluded: the horizon cuts them, and their efficiency diverges.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
-    assert np.all(found > least - 4.0 * noise - 0.01 * least)
-    assert np.all(found < orders.efficiencies.sum(axis=1) + 4.0 * noise + 0.02 * least)
+    assert np.all(result > least - 4.0 * noise - 0.01 * least)
+    assert np.all(result < orders.efficiencies.sum(axis=1) + 4.0 * noise + 0.02 * least)
 
 
 def test_files_of_the_other_kind_are_refused(spectrum_file, lobes_file, fingers, tmp_path):

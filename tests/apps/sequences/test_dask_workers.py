@@ -7,7 +7,7 @@ import pytest
 
 import warpdiff as wd
 
-distributed = pytest.importorskip("distributed", reason="make test-dask installs it")
+distributed = pytest.importorskip("distributed", reason="make test-dask installs Dask")
 
 pytestmark = [pytest.mark.dask, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 LIGHT = wd.DirectionalLight((0.3, 1.0, 0.4))

@@ -22,7 +22,7 @@ from PIL import Image
 import warpdiff as wd
 from warpdiff.apps import cli
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs it")
+sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs Playwright")
 
 pytestmark = pytest.mark.browser
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")

@@ -18,7 +18,9 @@ def test_sample_bodies_are_cached_on_disk(tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
     # Rendering threads of other tests may still create meshes, so only the tested mesh must not be created again.
-    monkeypatch.setattr(Call, "make", lambda other: pytest.fail("it is cached") if other is call else make(other))
+    monkeypatch.setattr(
+        Call, "make", lambda other: pytest.fail("the cache is not used") if other is call else make(other)
+    )
     cached = page_bodies.surface_of(call, None)
     for name, value in vars(first).items():
         assert type(getattr(cached, name)) is type(value), name

@@ -11,7 +11,7 @@ import pytest
 
 from warpdiff.apps.viewer.controls import checked, controls, defaults, described
 
-websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs it")
+websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs websockets")
 from websockets.sync.client import connect  # noqa: E402 (optional package)
 
 from warpdiff.apps.viewer import server as view_server  # noqa: E402

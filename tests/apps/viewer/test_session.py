@@ -96,8 +96,7 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # A short coherence window makes tables several seconds faster. The page, its Python lines and its command build
-    # tables.
+    # A short coherence window saves several seconds for the tables of the page, of its Python lines and of its command.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)

@@ -15,7 +15,7 @@ import pytest
 import warpdiff as wd
 from warpdiff.optics import colorimetry
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs it")
+sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs Playwright")
 
 pytestmark = pytest.mark.browser
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
@@ -103,9 +103,9 @@ def render(shown, frames, **wanted):
 
 
 def of_view(view, to_light):
-    seen = {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg}
+    camera = {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg}
     lights = [{"to_light": to_light, "power": 1.0}]
-    return {"view": seen, "lights": lights, "width": view.width, "height": view.height}
+    return {"view": camera, "lights": lights, "width": view.width, "height": view.height}
 
 
 def canvas(shown):
@@ -130,13 +130,13 @@ def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
     fine = wd.shade(body, skin, light, larger, coherence=WINDOW, pigment=0.0, tolerance=0.3, refine=False)
     interior = (fine.mask & fine.illuminated).reshape(HEIGHT, 4, WIDTH, 4).all(axis=(1, 3))
     assert interior.sum() > 1000
-    found = render(shown, FRAMES, exposure=exact.auto_exposure, **of_view(view, to_light))
+    result = render(shown, FRAMES, exposure=exact.auto_exposure, **of_view(view, to_light))
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
     # The reference picture has a tolerance of 3 %, so sums of Y may differ by this much.
-    assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
-    assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
+    assert result[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
+    assert np.abs(result[..., 3] - exact.coverage).mean() < 0.01
 
 
 def test_a_point_light_equals_that_of_shade(shown, skin, body):
@@ -144,15 +144,15 @@ def test_a_point_light_equals_that_of_shade(shown, skin, body):
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
-    wanted = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
-    found = render(shown, 64, exposure=exact.auto_exposure, **wanted)
-    seen = canvas(shown)
+    request = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
+    result = render(shown, 64, exposure=exact.auto_exposure, **request)
+    pixels = canvas(shown)
     inside = (exact.coverage > 0.999) & exact.illuminated
     dark = (exact.coverage > 0.999) & ~exact.illuminated
     assert min(inside.sum(), 20 * dark.sum()) > 1000
-    assert np.median(colour_difference(seen, exact.display()[..., :3])[inside]) <= 1.0
-    assert found[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
-    assert np.median(found[..., 1][dark]) < 0.05 * np.median(found[..., 1][inside])
+    assert np.median(colour_difference(pixels, exact.display()[..., :3])[inside]) <= 1.0
+    assert result[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
+    assert np.median(result[..., 1][dark]) < 0.05 * np.median(result[..., 1][inside])
     # A directional light with the same brightness in the picture centre gives a clearly different picture.
     far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
     render(shown, 16, **far)
@@ -162,13 +162,13 @@ def test_a_point_light_equals_that_of_shade(shown, skin, body):
 def test_pictures_are_restored_with_light_view_and_exposure(shown):
     first = of_view(VIEWS[0], LIGHTS[0])
     before = render(shown, 2, exposure=1e5, **first)
-    seen = canvas(shown)
+    pixels = canvas(shown)
     for changed in (of_view(VIEWS[1], LIGHTS[0]), of_view(VIEWS[0], LIGHTS[1])):
         assert not np.array_equal(render(shown, 2, **changed), before)
     render(shown, 2, exposure=4e5, **first)
-    assert canvas(shown).mean() > seen.mean()
+    assert canvas(shown).mean() > pixels.mean()
     assert np.array_equal(render(shown, 2, exposure=1e5, **first), before)
-    assert np.array_equal(canvas(shown), seen)
+    assert np.array_equal(canvas(shown), pixels)
 
 
 STATE = "structuredClone({ ...warpdiff.state })"
@@ -256,10 +256,10 @@ def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chr
     exact = wd.shade(body, skin, lights, view, coherence=WINDOW, tolerance=3e-2, material=material, **options)
     browser, shown, said = opened(chromium, path)
     shown.evaluate("warpdiff.ready")
-    found = render(shown, 64, width=64, height=48)
+    result = render(shown, 64, width=64, height=48)
     browser.close()
     assert not [each for each in said if "GPU stall due to ReadPixels" not in each[1]]
     inside = (exact.coverage > 0.999) & exact.illuminated
-    of_light, seen = exact.xyz[inside], found[..., :3][inside]
-    assert np.median(np.linalg.norm(seen - of_light, axis=1) / np.linalg.norm(of_light, axis=1)) < 0.05
-    np.testing.assert_allclose(seen.sum(axis=0), of_light.sum(axis=0), rtol=0.05)
+    of_light, of_page = exact.xyz[inside], result[..., :3][inside]
+    assert np.median(np.linalg.norm(of_page - of_light, axis=1) / np.linalg.norm(of_light, axis=1)) < 0.05
+    np.testing.assert_allclose(of_page.sum(axis=0), of_light.sum(axis=0), rtol=0.05)
