@@ -67,7 +67,7 @@ def test_resampling_interpolates_a_wave_exactly_and_drops_higher_frequencies() -
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
-    # A wave at the new Nyquist frequency must be sampled with the right sign.
+    # After resampling, a wave at the new Nyquist frequency must have the right sign.
     x = np.arange(24) / 24.0
     wave = HeightField.of_known_scale((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0)
     coarse = wave.resampled(1.0 / 8.0)

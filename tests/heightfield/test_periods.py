@@ -87,7 +87,7 @@ def test_sums_of_waves_and_waviness_are_distinguished():
         + 0.1 * np.cos(2.0 * np.pi * X / 1.23)
         + 0.03 * np.sin(2.0 * np.pi * (X + Y) / 0.91)
     )
-    # Missing samples do not prevent the fit.
+    # Missing samples do not prevent the fit of periods.
     heights[60:90, 80:140] = np.nan
     waviness, strong, weak = wd.HeightField(heights, PITCH).periods()
     assert [period.is_waviness for period in (waviness, strong, weak)] == [True, False, False]

@@ -26,7 +26,7 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """The energy factor is linear in √(1 − cos θ) and around the normal in |x| + |y|; transmittances in cos θ."""
+    """The energy factor is linear in √(1 − cos θ) and in |x| + |y|; transmittances are linear in cos θ."""
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))

@@ -1,4 +1,4 @@
-"""Refinement: uneven pixels are subdivided until the picture equals one with many rays per pixel."""
+"""Refinement: pixels with uneven colours are subdivided until the picture equals one with many rays per pixel."""
 
 import dataclasses
 import itertools
@@ -32,7 +32,7 @@ def table(fingers):
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
 
-# Camera targets on parts of the meshes with a silhouette, by mesh name.
+# Camera targets by mesh name: parts of the meshes with a silhouette.
 TARGETS = {"tube": (0.2, 0.2, 0.1), "lumpy": (0.75, 0.1, 0.75)}
 
 
