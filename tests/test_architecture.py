@@ -54,7 +54,7 @@ def test_packages_without_warp_do_not_load_it():
     run(sys.executable, "-c", f"import sys, {', '.join(names)}; assert 'warp' not in sys.modules")
 
 
-def test_only_device_uses_what_warp_does_not_document():
+def test_only_the_device_package_uses_undocumented_parts_of_warp():
     users = {name for name, path in SOURCES.items() if re.search(UNDOCUMENTED, path.read_text(encoding="utf-8"))}
     assert {name.rpartition(".")[0] for name in users} == {"warpdiff.device"}
 

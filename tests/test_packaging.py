@@ -162,7 +162,7 @@ def imported(path: Path) -> set[str]:
     return names
 
 
-def test_dependencies_are_what_is_imported():
+def test_declared_dependencies_equal_the_imported_packages():
     names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow", "annotated_types": "annotated-types"}
     used = set().union(
         *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
@@ -216,5 +216,5 @@ def test_everything_public_has_one_canonical_path():
             assert getattr(sys.modules[public.__module__], name) is public
 
 
-def test_the_version_is_that_of_the_metadata():
+def test_the_version_equals_that_of_the_metadata():
     assert wd.__version__ == PROJECT["version"]

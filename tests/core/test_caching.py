@@ -5,7 +5,7 @@ import threading
 from warpdiff.core.caching import LruCache
 
 
-def test_the_least_recently_used_one_goes_first():
+def test_the_least_recently_used_value_is_removed_first():
     cache = LruCache(2)
     assert [cache.get_or_make(key, lambda key=key: key.upper()) for key in "ab"] == ["A", "B"]
     assert cache.get("a") == "A"

@@ -44,7 +44,7 @@ def test_each_front_end_writes_its_own_argument_names():
         (WarpdiffWarning, UserWarning),
     ],
 )
-def test_errors_and_warnings_keep_their_marks_in_other_processes(kind, base):
+def test_marks_of_errors_and_warnings_survive_pickling(kind, base):
     error = kind(MESSAGE)
     assert isinstance(error, base)
     for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):  # noqa: S301 (pickled in this line)

@@ -100,7 +100,7 @@ def test_without_a_cache_folder_nothing_is_stored(published, tmp_path, monkeypat
 
 @pytest.mark.usefixtures("pooch")
 @pytest.mark.parametrize("fault", ["offline", "absent", "other"])
-def test_a_failed_download_says_what_to_do(fault, published, tmp_path, monkeypatch):
+def test_the_error_of_a_failed_download_names_the_remedy(fault, published, tmp_path, monkeypatch):
     dataset = wd.datasets.info(NAME)
     if fault == "offline":
         dataset = dataclasses.replace(dataset, address="http://127.0.0.1:9/scan.png")  # no server uses this port

@@ -67,7 +67,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     assert "nergy" not in str(wd.shade(square, heightfield, lights[0], seen_from(view), **MIRROR).plan)
 
 
-def test_normalised_maps_are_reciprocal_and_say_what_they_are():
+def test_normalised_maps_are_reciprocal_and_report_the_normalisation():
     heightfield, light, view = SURFACES["blazed"](), at(50.0, 10.0), at(20.0, 170.0)
     options = MIRROR | {"energy": "normalised", "tolerance": 1e-3}
     there, back = wd.reflectance(heightfield, [light, view], [view, light], **options)
@@ -91,7 +91,7 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
         assert np.ravel(alone) == pytest.approx(among[:, column], rel=5e-3)
 
 
-def test_gentle_surfaces_keep_their_orders():
+def test_energy_normalisation_hardly_changes_gentle_surfaces():
     """If one order has nearly all power, conservation of energy hardly limits the factors, which must be near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)

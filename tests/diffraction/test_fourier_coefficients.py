@@ -105,7 +105,7 @@ def test_parseval_on_two_dimensions():
 
 @pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0, 40.0])
 @pytest.mark.parametrize("method", EXPANSIONS)
-def test_block_holds_the_transform(frequency, method, rng):
+def test_a_block_contains_the_fourier_transform(frequency, method, rng):
     heightfield = wd.HeightField(rng.uniform(0.0, 0.2, (15, 24)), (0.11, 0.07))
     block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), frequency, (1, 2))
     expansion = EXPANSIONS[method]

@@ -36,7 +36,7 @@ PROFILES = {
 }
 
 
-def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_at_each(rng):
+def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
     """A series with too few terms, or for half of the range of κ, would give coefficients with errors of about 1."""
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
@@ -164,7 +164,7 @@ def test_bad_input(arguments, error, message):
         wd.order_efficiencies(**legal | arguments)
 
 
-def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
+def test_an_axis_of_one_sample_has_only_the_zeroth_order():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()

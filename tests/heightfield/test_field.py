@@ -12,7 +12,7 @@ from warpdiff import gratings
 from warpdiff.heightfield.field import HeightField
 
 
-def test_holds_a_read_only_copy() -> None:
+def test_a_height_field_has_a_read_only_copy_of_the_heights() -> None:
     heights = 0.1 * np.arange(6.0).reshape(2, 3)
     field = HeightField(heights, (0.5, 0.25))
     heights[0, 0] = 9.0

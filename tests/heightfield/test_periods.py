@@ -45,7 +45,7 @@ def test_a_summary_lists_no_waviness():
         assert "no feature repeats at least three times (field is one period)" in str(field.summary())
 
 
-def test_standard_errors_are_those_of_many_fits():
+def test_standard_errors_equal_the_deviation_of_many_fits():
     rng = np.random.default_rng(2)
     scores = []
     for _ in range(40):
@@ -70,7 +70,7 @@ def test_standard_errors_are_valid_in_strong_noise(noise):
 
 
 @pytest.mark.parametrize("seed", [87, 115])
-def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
+def test_a_fit_that_diverges_in_strong_noise_still_gives_a_period(seed):
     """In strong noise the fit can diverge to a fraction of a wave, which together with a tilt fits any field."""
     noise = np.fft.fft2(np.random.default_rng(seed).normal(size=(60, 80)))
     noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))

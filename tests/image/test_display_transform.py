@@ -68,7 +68,7 @@ def test_oklab_equals_that_of_colour_science(rng):
     np.testing.assert_allclose(transform.of_oklab(transform.oklab(xyz)), xyz, atol=1e-9)
 
 
-def test_aces_keeps_the_hues_of_narrow_bands(bands):
+def test_aces_preserves_the_hues_of_narrow_bands(bands):
     errors, step = hue_errors(transform.encode(bands, "aces", "srgb"), bands)
     without, step_without = hue_errors(transform.aces(bands.reshape(-1, 3), "srgb").reshape(bands.shape), bands)
     # Measured hue errors in degrees: median 0.6, maximum 12.4, step 17.8. The bands themselves have a step of 14.1.

@@ -392,7 +392,7 @@ def test_a_picture_is_compared_by_identity_and_described_in_one_line(image):
     assert repr(dark) == "Image(7 × 5 pixels, 0 % illuminated)"
 
 
-def test_notebooks_and_viewers_show_what_a_png_file_holds(image, tmp_path, monkeypatch):
+def test_notebooks_and_viewers_show_the_pixels_of_a_png_file(image, tmp_path, monkeypatch):
     pixels = read(image.save(tmp_path / "a.png"))[1]
     np.testing.assert_array_equal(Image.open(io.BytesIO(image._repr_png_())), pixels)
     pictures = []

@@ -127,7 +127,7 @@ def test_the_sky_is_linear_between_its_cells(results):
     np.testing.assert_allclose(computed["powers"], expected, atol=2e-5)
 
 
-def test_gains_are_those_of_the_library_for_a_light_of_a_size(results):
+def test_gains_equal_those_of_the_library_for_extended_lights(results):
     given, computed = results
     expected = reflectance_factors.gain(
         given["along"], given["views"], normal=0.04, masking=True, per_light_cosine=True

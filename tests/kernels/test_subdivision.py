@@ -48,7 +48,7 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 
 @pytest.mark.parametrize("level", [2, 3])
-def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
+def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
     """Pixel 5 of 9 is subdivided. Cells that miss the mesh, such as one whole block, do not add to the variance."""
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8

@@ -200,7 +200,7 @@ def test_files_are_read_and_refused(tmp_path, square):
         wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 
-def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
+def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
     # The mesh is an open book: each half occludes part of the sky for the other half.
     corners = [[0, 0, -1], [0, 0, 1], [1, 1, 1], [1, 1, -1], [-1, 1, 1], [-1, 1, -1]]
     texture = trimesh.visual.TextureVisuals(

@@ -79,7 +79,7 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     assert shown[0] == pytest.approx(4.0 * shown[1], rel=1e-2)
 
 
-def test_pigment_is_that_of_a_light_in_the_direction_of_each_pixel(fingers):
+def test_pigment_under_a_point_light_equals_that_of_a_directional_light_per_pixel(fingers):
     coloured, place = square(), np.array([0.4, -0.3, 0.7])
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])

@@ -141,7 +141,7 @@ def test_spread_is_the_projected_source(theta):
 
 
 @pytest.mark.parametrize("theta", INCIDENCES)
-def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
+def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
     """Each order shows the source at the direction from which its light comes, exactly for an infinitely small source.
 
     This direction is a point (a, b) on the tangent plane of the sky, in units of the spread. The radiance of the source

@@ -104,7 +104,7 @@ def test_files_of_the_database_are_read(name, tmp_path):
     np.testing.assert_allclose(material.reflectance(550.0, 30.0), expected.reflectance(550.0, 30.0), rtol=1e-3)
 
 
-def test_a_file_says_where_it_is_from(tmp_path):
+def test_a_material_file_states_its_source(tmp_path):
     (tmp_path / "metal.yml").write_text(SITE_YAML)
     assert wd.Material.from_file(tmp_path / "metal.yml").source == "A. Body. Of metals"
 

@@ -111,7 +111,7 @@ def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavele
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 
 
-def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengths_serve(fingers):
+def test_bounds_of_a_grazing_source_limit_the_order_rate_to_that_of_their_wavelengths(fingers):
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     near, grazing = (DirectionRange(1.9, rate, 0.01, 1.2) for rate in (3.0, 1e4))
     plan = upper_bound(fingers, near, coherence=source)
@@ -124,7 +124,7 @@ def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengt
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 
-def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for_spectra(fingers):
+def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_error_for_spectra(fingers):
     direction_range = DirectionRange(1.5, 1.5, 0.3, 1.7, 400.0, 700.0)
     plan = upper_bound(fingers, direction_range, wavelengths_nm=np.array([400.0, 700.0]))
     assert plan.direction_range == direction_range

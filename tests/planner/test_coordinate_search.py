@@ -223,7 +223,7 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
     assert coordinate_search._sufficient(start, trial, TARGET, automatic=True) == (start, TARGET)
 
 
-def test_a_smaller_bandwidth_serves_larger_order_rates_with_as_many_wavelengths(fingers):
+def test_a_smaller_bandwidth_allows_larger_order_rates_with_the_same_number_of_wavelengths(fingers):
     """The wavelengths of a grazing source are limited in number, but suffice for the order rates of the call."""
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")

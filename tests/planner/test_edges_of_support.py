@@ -49,7 +49,7 @@ def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherenc
         (wd.Coherence(sigma_um=1e15), "sigma_um"),
     ],
 )
-def test_the_longest_coherence_is_refused_by_its_own_name(coherence, name):
+def test_too_long_a_coherence_is_refused_by_its_argument_name(coherence, name):
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     for call in (lambda: wd.plan(heightfield, coherence=coherence), lambda: wd.bake(heightfield, coherence=coherence)):
         with pytest.raises(wd.ToleranceError, match=f"^{name}=1e.?15|^{name}=1000000000000000"):

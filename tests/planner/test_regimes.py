@@ -59,7 +59,7 @@ def test_automatic_choice_over_windows(line, kind, sigma):
     assert Case(line, methods.in_plane(32, 1.8), wd.Coherence(kind, sigma)).automatic <= TOLERANCE
 
 
-def test_other_choices_break_over_windows(line):
+def test_other_methods_fail_for_some_windows(line):
     directions = methods.in_plane(48, 1.8)
     short, middle, long = (Case(line, directions, wd.Coherence(sigma_um=sigma)) for sigma in (3.0, 10.0, 100.0))
     assert short.neighbours() > 0.1
@@ -87,7 +87,7 @@ def test_automatic_choice_over_patches(size):
     assert Case(heightfield, methods.hemisphere_pairs(32, 0.4)).automatic <= TOLERANCE
 
 
-def test_other_choices_break_over_patches():
+def test_other_methods_fail_for_some_patch_sizes():
     usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(24))
     assert usual.fixed_steps(5.0) > 0.1
     assert usual.fixed_steps(1.0) < TOLERANCE

@@ -89,7 +89,7 @@ def test_few_bright_directions_or_separate_orders_begin_with_a_larger_table(fing
     assert Tables(wd.gratings.sinusoidal(2.0, 0.1), plan, 16).smallest().rings_per_octave == 64
 
 
-def test_tables_that_miss_the_target_serve_footprints_and_explicit_calls_alone(fingers, plan):
+def test_tables_that_miss_the_target_are_used_only_for_footprints_and_explicit_calls(fingers, plan):
     for options, rings in [({}, None), ({"footprint": True}, FIRST), ({"needed": True}, 128)]:
         table = Tables(fingers, plan, 500).smallest(**options)
         assert (table and table.rings_per_octave) == rings

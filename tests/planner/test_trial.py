@@ -80,7 +80,7 @@ def test_a_basis_has_the_terms_that_were_fitted_and_a_series_those_of_the_bounds
     assert measured.most_terms(dataclasses.replace(plan, method="taylor")) == plan.terms
 
 
-def test_spectra_are_those_of_the_public_function(fingers, rng):
+def test_spectra_equal_those_of_the_public_function(fingers, rng):
     gold, wavelengths = wd.Material.metal("Au"), np.linspace(400.0, 700.0, 5)
     lights, views = hemisphere(rng, 40, 0.3), hemisphere(rng, 40, 0.3)
     settings = SpectralSettings(coherence=SHORT, tolerance=1e-1, material=gold)
@@ -112,7 +112,7 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     assert trial.reference_luminance(np.zeros(9), np.zeros(9)) == 0.0
 
 
-def test_the_worst_percentile_is_that_of_bright_or_of_dim_directions():
+def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
     """The worst percentile is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])

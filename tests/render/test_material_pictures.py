@@ -79,7 +79,7 @@ def test_each_geometry_has_its_material(footprint, fingers):
     np.testing.assert_array_equal(again.image().xyz, both.xyz)
 
 
-def test_the_direct_sum_of_two_materials_is_that_of_other_methods():
+def test_the_direct_sum_of_two_materials_equals_other_methods():
     heightfield, view = wd.gratings.sinusoidal(1.2, 0.1), wd.View((0, 0, 5), (0, 0, 0), width=16, height=12)
     options = {"coherence": SHORT, "material": {"lower": SILVER, "upper": GOLD}, "footprint": False, "tolerance": 1e-2}
     direct = wd.shade(scene(), heightfield, LIGHTS, view, method="direct", **options)

@@ -141,7 +141,7 @@ def test_forks_while_other_threads_draw():
             thread.join()
 
 
-def test_no_cached_property_has_a_lock_of_its_own():
+def test_no_cached_property_uses_the_lock_of_functools():
     """In Python 3.11 all objects share the lock of ``cached_property``. A forked child could wait for it forever."""
     sources = sorted(Path(wd.__file__).parent.rglob("*.py"))
     users = [path for path in sources if re.search(r"functools\b.*cached_property", path.read_text(encoding="utf-8"))]

@@ -40,7 +40,7 @@ def places(mesh):
 @pytest.mark.parametrize(
     "arguments", [SMALL, {"scale_rows": 5, "ventrals": 8, "segments": 3, "bend_deg": 0.0, "tangent": "along"}]
 )
-def test_it_is_closed_and_wound_outwards(arguments):
+def test_the_snake_is_closed_and_its_faces_are_oriented_outwards(arguments):
     mesh = meshes.snake(**arguments)
     place = places(mesh)
     edges = place[mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
@@ -157,7 +157,7 @@ def test_the_snake_does_not_intersect_itself(snake):
     assert not np.any((before * after < 0.0) & np.all(inside, axis=0))
 
 
-def test_the_pattern_depends_on_the_seed_alone(snake):
+def test_the_pattern_depends_only_on_the_seed(snake):
     again, other = meshes.snake(**SMALL), meshes.snake(**SMALL, seed=1)
     one, two, three = (np.asarray(mesh.visual.material.image) for mesh in (snake, again, other))
     np.testing.assert_array_equal(one, two)

@@ -44,7 +44,7 @@ def arrays_of(struct):
 
 
 @pytest.mark.parametrize("coherence", COHERENCES, ids=str)
-def test_bytes_in_the_cache_are_those_of_its_distinct_arrays(heightfield, coherence):
+def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
     """Space for mip levels is allocated from the beginning. It counts only after the levels are computed."""
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)

@@ -100,7 +100,7 @@ def test_values_below_the_horizon_are_zero(spectrum_file):
     assert bsdf.pdf(mi.BSDFContext(), interaction(to_light=[0.1, 0.1, -0.9]), mi.Vector3f(*map(float, LIGHT))) == 0.0
 
 
-def test_colours_are_those_of_baked_lobes(lobes_file):
+def test_colours_equal_those_of_baked_lobes(lobes_file):
     bsdf = bsdf_of(lobes_file, "scalar_rgb", ior=1.5)
     views = hemisphere(np.random.default_rng(8), 200, lowest=0.1)
     baked = wd.BakedLobes.load(lobes_file)

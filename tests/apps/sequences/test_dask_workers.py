@@ -29,7 +29,7 @@ def expected(renderer, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("workers", "killed"), [(1, 0), (2, 0), (2, 1), (1, 1)])
-def test_frames_are_those_drawn_here(renderer, expected, tmp_path, workers, killed):
+def test_frames_equal_those_rendered_locally(renderer, expected, tmp_path, workers, killed):
     options = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         left = list(client.run(os.getpid).values())[:killed]

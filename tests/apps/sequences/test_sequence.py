@@ -60,7 +60,7 @@ def test_a_turntable_turns_once_about_the_target():
         assert np.abs(rays @ frame.up / depth).max() < frame.half_height
 
 
-def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
+def test_a_sweep_moves_from_one_direction_to_the_other_at_constant_speed():
     shots = wd.light_sweep(LIGHT, VIEW, (-1.0, 0.2, 0.3), count=7)
     towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(towards[0], LIGHT.to_light)

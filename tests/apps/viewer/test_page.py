@@ -169,7 +169,7 @@ def changed(pixels, before):
     return np.mean(np.abs(pixels - before).max(axis=2) > 8)
 
 
-def test_the_picture_changes_with_what_is_set_and_comes_back(page):
+def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
     # The exposure is locked, because with automatic exposure all mirrors would have the same picture.
     page.set("lock_exposure", True)
     first = page.rest()

@@ -92,7 +92,7 @@ def draw(**changes):
     return json.dumps(message | changes)
 
 
-def test_nothing_but_the_page_is_served():
+def test_only_the_page_is_served():
     with serving() as (server, _):
         host = f"Host: 127.0.0.1:{server.port}\n"
         served = ask(server, f"GET / HTTP/1.1\n{host}\n")
@@ -158,7 +158,7 @@ def test_the_number_of_connections_is_limited():
             page.recv(timeout=5.0)
 
 
-def test_connections_that_say_nothing_are_closed(monkeypatch):
+def test_silent_connections_are_closed(monkeypatch):
     monkeypatch.setattr(view_server, "_OPENING_S", 0.3)
     with serving() as (server, _), contextlib.ExitStack() as stack:
         silent = [

@@ -227,7 +227,7 @@ def test_the_console_stays_empty(shown):
     assert not [each for each in shown.said if "GPU stall due to ReadPixels" not in each[1]]
 
 
-def test_without_webgl_2_a_sentence_says_so(page, chromium):
+def test_without_webgl_2_a_message_is_shown(page, chromium):
     browser, shown, _ = opened(chromium, page, "--disable-3d-apis")
     assert "This page needs WebGL 2, which this browser does not offer" in shown.locator("#failed").inner_text()
     assert shown.locator("#failed").is_visible()
