@@ -1,4 +1,4 @@
-"""Fixtures: real inputs where they are present, devices, directions."""
+"""Fixtures and helpers of all tests: measured input files, devices, directions and height fields."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 if TYPE_CHECKING:
     import trimesh
 
-# An empty name disables the disk cache, so that tests do not write to the user's folder.
+# An empty name disables the disk cache, so that tests do not write to the user's cache folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
 DATA = Path(os.environ.get("WARPDIFF_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 
@@ -27,19 +27,19 @@ def _data_file(name: str) -> Path:
 
 @pytest.fixture(scope="session")
 def scan_path() -> Path:
-    """The atomic force microscope scan of a snake's skin."""
+    """Return the path of an atomic force microscope scan of snake skin; skip the test without that file."""
     return _data_file("elaphe_65um.png")
 
 
 @pytest.fixture(scope="session")
 def fuze_path() -> Path:
-    """The textured test mesh."""
+    """Return the path of a textured bottle mesh; skip the test without that file."""
     return _data_file("fuze.obj")
 
 
 @pytest.fixture(scope="session")
 def scan(scan_path):
-    """The scan, levelled."""
+    """Return the snake-skin scan (65 µm wide), with a quadratic surface subtracted."""
     import warpdiff as wd
 
     return wd.HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
@@ -47,7 +47,7 @@ def scan(scan_path):
 
 @pytest.fixture(scope="session")
 def fingers():
-    """A patch of fingers whose orders overlap under short windows."""
+    """Return a 12.8 µm patch of random fingers. With short coherence windows its diffraction orders overlap."""
     import warpdiff as wd
 
     return wd.gratings.fingers(size_um=12.8, seed=4)
@@ -55,13 +55,13 @@ def fingers():
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A seeded generator."""
+    """Return a random generator with a fixed seed, or with the seed of the soak test."""
     return np.random.default_rng(20140 + endurance.SEED)
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])
 def device(request) -> str:
-    """Each device of this machine."""
+    """Run the test on the CPU, and also on a CUDA device if the machine has one."""
     if request.param == "cuda":
         import warp as wp
 
@@ -73,19 +73,19 @@ def device(request) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """The report of a soak counts tests by rows."""
+    """Store the report row of each test marked ``permanent``; the report of a soak test counts tests by row."""
     for item in items:
         if marker := item.get_closest_marker("permanent"):
             item.user_properties.append(("row", marker.args[0]))
 
 
 def pytest_report_header() -> str | None:
-    """Return the random seed of a soak."""
+    """Return a header line with the random seed if this run is a soak test."""
     return f"seed of the soak: {endurance.SEED}" if endurance.IS_SOAK else None
 
 
 def slow(*values):
-    """A case of a parametrized test that takes long: others like it are in the test command."""
+    """Mark a slow case of a parametrized test. Faster cases of the same test run in the default test command."""
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
@@ -96,7 +96,7 @@ def _shares(item) -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    """A soak's time is shared among the tests that are left."""
+    """Divide the remaining time of a soak test among the tests that have not run yet."""
     if endurance.IS_SOAK:
         left = item.session.items[item.session.items.index(item) :]
         endurance.begin(_shares(item), sum(map(_shares, left)))
@@ -104,14 +104,14 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture
 def tries(record_property):
-    """Counts what a test tries; one that does not ask for it tries once."""
+    """Return a counter of attempts for the report of a soak test. Tests without a counter have one attempt."""
     counted = endurance.Tries()
     yield counted
     record_property("tried", counted.number)
 
 
 def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np.ndarray:
-    """Random unit vectors with z >= lowest, uniform in z."""
+    """Return ``count`` random unit vectors (count, 3) with z >= ``lowest``, uniformly distributed in z."""
     z = rng.uniform(lowest, 1.0, count)
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
     s = np.sqrt(1.0 - z * z)
@@ -119,15 +119,15 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write a picture (height, width, channels) of the pixels' type."""
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+    """Write pixels (height, width, channels) to an image file with the same number type."""
+    import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 
     buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
     assert buffer.write(str(path)), buffer.geterror()
 
 
 def coherence_of(kind: str, sigma_um=None, angular_diameter_deg=3.0, periods=(2, 3)):
-    """A window of some size, a source that is as wide to the eye, or some periods."""
+    """Return a coherence model of the given kind: a window width, a source diameter or a number of periods."""
     import warpdiff as wd
 
     if kind == "source":
@@ -136,22 +136,22 @@ def coherence_of(kind: str, sigma_um=None, angular_diameter_deg=3.0, periods=(2,
 
 
 def noise(shape: tuple[int, int], pitch=(0.1, 0.05)):
-    """A height field of noise."""
+    """Return a height field of normally distributed heights with a standard deviation of 0.05 µm."""
     import warpdiff as wd
 
     return wd.HeightField(np.random.default_rng(7).normal(0.0, 0.05, shape), pitch)
 
 
 def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Errors (n,) of colours (n, 3), relative to each, or to a thousandth of the luminance of the brightest."""
+    """Return errors (n,) of colours (n, 3), relative to each exact colour, but at least to 0.001 of the P99 of Y."""
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
     return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 
 
 @pytest.fixture(scope="session")
 def square() -> trimesh.Trimesh:
-    """A flat square in the plane z = 0, of 2 a side, its x along +x."""
-    # It takes half a second, and tests that are distributed begin once this file is read.
+    """Return a flat square of side 2 in the plane z = 0, whose texture direction u is +x."""
+    # trimesh is imported here, because importing it takes 0.5 s and delays the start of parallel test runs.
     import trimesh
 
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
@@ -160,6 +160,6 @@ def square() -> trimesh.Trimesh:
 
 
 def at_angle(theta_deg: float | np.ndarray) -> np.ndarray:
-    """Unit vectors in the xz-plane at angles from the normal, towards +x."""
+    """Return unit vectors in the xz-plane at the given angles from the normal; positive angles point towards +x."""
     theta = np.radians(theta_deg)
     return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)

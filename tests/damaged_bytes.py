@@ -1,6 +1,7 @@
-"""Damaged files, read in a process of its own: ``python damaged_bytes.py meshes SEED COUNT SECONDS FOLDER``.
+"""Read damaged files in a separate process: ``python damaged_bytes.py meshes SEED COUNT SECONDS FOLDER``.
 
-It prints how many were tried, then what was wrong. Where it dies or hangs, the last one lies in the folder.
+The process prints the number of damaged files and a list of failures. If it crashes or hangs, the file that caused it
+remains in the folder.
 """
 
 import contextlib
@@ -13,7 +14,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
 from gltf_files import BUFFER, gltf
 from PIL import Image
@@ -29,7 +30,7 @@ EXTREME_NUMBERS = [
 
 
 def scans():
-    """Height fields in every kind of file, by name."""
+    """Write valid height fields in all supported file formats, and return their paths."""
     waves = np.add.outer(np.sin(np.arange(9.0)), np.cos(np.arange(12.0)))
     for dtype in ("float64", "float32", "uint8", ">i4"):
         np.save(Path(f"scan-{dtype.strip('>')}.npy"), (waves * 50.0 + 100.0).astype(dtype))
@@ -43,7 +44,7 @@ def scans():
 
 
 def meshes():
-    """Bodies in every kind of file, and what they name."""
+    """Write valid meshes in all supported file formats, with their texture and buffer files, and return all paths."""
     disc = wd.meshes.disc(segments=4, rings=1)
     for suffix in ("ply", "stl", "glb", "off"):
         disc.export(f"mesh.{suffix}")
@@ -61,7 +62,7 @@ def meshes():
 
 
 def read_scan(path):
-    """A height field from a scan of either kind."""
+    """Load a height-field file, and check that all heights not marked as missing are finite."""
     integers = re.search("uint|i4", path.name)
     heightfield = wd.HeightField.load(
         path, pitch_um=None if path.suffix == ".npz" else 0.1, height_range_um=0.3 if integers else None
@@ -70,14 +71,14 @@ def read_scan(path):
 
 
 def read_mesh(path):
-    """The surface that rays meet."""
+    """Load the mesh that a file belongs to, and check that all vertices of its prepared surface are finite."""
     beside = {".mtl": "mesh.obj", ".png": "mesh.obj", ".bin": "mesh.gltf"}
     surface = prepare_surface(Path(beside.get(path.suffix, path)))
     assert np.isfinite(surface.vertices).all()
 
 
 def mutant(content, rng):
-    """A file's content with one to three kinds of damage."""
+    """Return the content of a file with one to three random kinds of damage."""
     content = bytearray(content)
     for _ in range(rng.integers(1, 4)):
         size = max(len(content), 1)
@@ -104,7 +105,7 @@ def mutant(content, rng):
 
 
 def watch(folder, wrong):
-    """Record files opened outside the folder, except Python's modules and those that state the free memory."""
+    """Record network access, subprocesses and files opened outside the folder; allow Python's modules and ``/proc``."""
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
 
     def hook(event, arguments):
@@ -119,14 +120,14 @@ def watch(folder, wrong):
 
 
 def main(kind, seed, count, seconds, folder):
-    """Try so many, for no longer than so many seconds."""
+    """Read at most ``count`` damaged files within at most ``seconds`` seconds, and print the failures as JSON."""
     import resource
 
     files, read = {"scans": (scans, read_scan), "meshes": (meshes, read_mesh)}[kind]
     sound = {path: path.read_bytes() for path in files()}
     warnings.simplefilter("ignore")
     for path in sound:
-        # Some formats have no texture coordinates, which is said once all else is read.
+        # Some mesh formats cannot store texture coordinates. The reader reports this after it has read the whole file.
         with contextlib.suppress(ValueError):
             read(path)
     wrong, tried, end = [], 0, time.monotonic() + seconds
@@ -137,12 +138,12 @@ def main(kind, seed, count, seconds, folder):
         path = list(sound)[rng.integers(len(sound))]
         path.write_bytes(mutant(sound[path], rng))
         tried += 1
-        # The alarm kills a reader that hangs.
+        # The alarm signal ends this process if the reader hangs.
         signal.alarm(MOST_S)
         try:
             read(path)
         except (ValueError, OSError, MemoryError) as error:
-            # A mesh's error names the mesh, whichever of its files is damaged.
+            # The error message must name the mesh file, even if its texture or buffer file is damaged.
             if not any(file.stem in str(error) for file in sound):
                 wrong.append(f"{tried - 1}: {path}: {error!r}")
         except Exception as error:

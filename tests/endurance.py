@@ -1,8 +1,8 @@
-"""How often permanent tests try: as often as seconds allow in the test command, and much more often in a soak.
+"""Number of attempts of the permanent tests: few in the default test command, many in a soak test.
 
-``make soak`` says by WARPDIFF_SOAK when it ends, in seconds since the epoch, and by WARPDIFF_SOAK_SEED which random
-numbers are drawn. Each test gets a share of the time that is left, or as many as ``permanent(row, shares=…)`` says, and
-tries nothing more once that is over.
+``make soak`` sets two environment variables. ``WARPDIFF_SOAK`` is the time at which the soak test ends, in seconds
+since the epoch. ``WARPDIFF_SOAK_SEED`` is the random seed. The tests share the remaining time equally, or by the
+weights given as ``permanent(row, shares=…)``. A test starts no new attempt after its share of the time has passed.
 """
 
 import functools
@@ -18,35 +18,35 @@ from hypothesis import HealthCheck, seed, settings
 _T, _F = TypeVar("_T"), TypeVar("_F")
 _END = float(os.environ.get("WARPDIFF_SOAK", "0"))
 IS_SOAK = _END > 0.0
-# Random seed. Each soak has another one.
+# Random seed of the test run. Each soak test uses a different one.
 SEED = int(os.environ.get("WARPDIFF_SOAK_SEED", "0"))
 _until = _END
 
 
 def count(in_tests: int, in_soak: int) -> int:
-    """How often."""
+    """Return the number of attempts: ``in_soak`` during a soak test, otherwise ``in_tests``."""
     return in_soak if IS_SOAK else in_tests
 
 
 def begin(shares: int, shares_left: int) -> None:
-    """Give the next test its shares of the time, of which what others did not take is a part."""
-    global _until  # noqa: PLW0603 (of one process, which runs one test at a time)
+    """Set the end time of the next test. Time that earlier tests did not use is divided among the remaining ones."""
+    global _until  # noqa: PLW0603 (each process runs one test at a time)
     _until = time.time() + (_END - time.time()) * shares / shares_left
 
 
 def seconds_left() -> float:
-    """How long a test may still try; for ever in the test command."""
+    """Return the remaining time of the current test in seconds, or infinity outside of a soak test."""
     return max(_until - time.time(), 0.0) if IS_SOAK else float("inf")
 
 
 class Tries:
-    """Counts what a test tries, for the report."""
+    """Counter of the attempts of one test, for the report of a soak test."""
 
     def __init__(self) -> None:
         self.number = 0
 
     def of(self, items: Iterable[_T]) -> Iterator[_T]:
-        """The items, of which there is one at least, until the time is up."""
+        """Yield the items until the time of the test is over, but at least one item."""
         for index, item in enumerate(items):
             if index and not seconds_left():
                 return
@@ -55,7 +55,7 @@ class Tries:
 
 
 def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
-    """Set Hypothesis up: a soak draws new examples; the test command does so only when the package changes."""
+    """Return a Hypothesis decorator: soak tests draw new examples; other runs do so only when the package changes."""
     chosen = settings(
         max_examples=count(in_tests, in_soak), deadline=None, database=None, suppress_health_check=list(HealthCheck)
     )
@@ -65,7 +65,7 @@ def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
 
 @functools.cache
 def _of_the_sources() -> int:
-    """A number that any change of the package changes."""
+    """Return a checksum of the package's source files, used as random seed."""
     root = Path(__file__).resolve().parents[1]
     sources = sorted(path for folder in ("warpdiff", "kernels") for path in (root / folder).rglob("*.py"))
     return zlib.crc32(b"".join(path.read_bytes() for path in sources))

@@ -1,4 +1,4 @@
-"""Fuzzed arguments: strategies made from the descriptions of options, and calls of everything that is public."""
+"""Fuzzed arguments: Hypothesis strategies for all options, and calls of every public function with them."""
 
 import contextlib
 import dataclasses
@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
 from hypothesis import strategies as st
 
@@ -27,7 +27,7 @@ SHORT = wd.Coherence(sigma_um=3.0)
 HUGE, TINY = 1e300, 1e-300
 
 
-# Objects that require kernels are made where a test uses them: each process that runs tests imports this file.
+# Objects that require compiled kernels are created on first use, because every test process imports this file.
 @functools.cache
 def plan() -> wd.Plan:
     return wd.plan(HEIGHTFIELD, coherence=SHORT, tolerance=0.1)
@@ -48,7 +48,7 @@ def renderer() -> wd.Renderer:
     return wd.Renderer(MESH, HEIGHTFIELD, LIGHT, VIEW, plan=plan())
 
 
-# No argument accepts all of these, and most accept none.
+# Values of arbitrary types for fuzzing, most of which most arguments reject.
 _ANYTHING = [
     *(None, ..., "", "bad", "a\0b", "\ud800", b"bytes", True, False, object(), object, len),
     *([], (), {}, set(), [[]], [None], ["x"], [[1, 2], [3]], {"a": 1}, range(3), iter([1.0]), slice(2)),
@@ -63,7 +63,7 @@ _ANYTHING = [
 ]
 _POWERS_OF_TEN = st.integers(-320, 308).map(lambda k: float(f"1e{k}"))
 _NUMBERS = st.one_of(st.floats(), _POWERS_OF_TEN, st.integers(-(10**30), 10**30), st.floats(0.0, 10.0))
-# Small counts are computed soon, and large ones are refused.
+# Random counts for fuzzing. Small counts are computed quickly; large ones must be refused.
 _COUNTS = st.one_of(st.integers(-3, 9), st.integers(17, 70).map(lambda k: 2**k), st.floats(-3.0, 10.0))
 _ROWS = st.lists(st.lists(_NUMBERS, max_size=4), max_size=4)
 _VECTORS = st.one_of(st.lists(_NUMBERS, min_size=3, max_size=3), st.lists(_NUMBERS, max_size=4), _ROWS)
@@ -82,7 +82,7 @@ _HEIGHTS = st.one_of(
 
 
 def _heightfields():
-    """Height fields that are legal."""
+    """Yield valid height fields, including extreme heights and pitches."""
     with np.errstate(all="ignore"):
         waves = np.sin(np.arange(12.0))[None, :] + np.cos(np.arange(9.0))[:, None]
         make = wd.HeightField.of_known_scale
@@ -97,7 +97,7 @@ def _heightfields():
 
 
 def _variants(base, **values):
-    """An object with one field changed, for each value of each field."""
+    """Yield copies of an object with one field changed, for each given value of each given field."""
     for name, alternatives in values.items():
         for value in alternatives:
             yield dataclasses.replace(base, **{name: value})
@@ -148,7 +148,7 @@ def _coherences():
 
 
 def malformed_meshes():
-    """Meshes without an area, of any size, with indices and texture coordinates out of range."""
+    """Yield invalid meshes: zero area, extreme sizes, vertex indices or texture coordinates out of range."""
     triangle, face = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), [[0, 1, 2]]
     for scale in (5e-324, TINY, 1e-30, 1e30, HUGE, math.nan):
         with np.errstate(all="ignore"):
@@ -191,7 +191,7 @@ def _one_of(make):
     return st.deferred(lambda: st.sampled_from(list(make())))
 
 
-# Strategies for arguments that are objects, by argument name.
+# Hypothesis strategies for arguments that are objects, by argument name.
 OBJECTS = {
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
     "coherence": _one_of(_coherences), "plan": _one_of(_plans), "shots": st.lists(_one_of(_shots), max_size=3),
@@ -211,7 +211,7 @@ _SETTINGS = describe(SinglePictureSettings)
 
 
 def options_of(function) -> list[Option]:
-    """Options of a public callable, its settings among them."""
+    """Return the options of a public callable, including the settings that it shares with other functions."""
     return [
         _SETTINGS.get(name, option) if option.kind == "object" else option
         for name, option in describe(function).items()
@@ -219,18 +219,19 @@ def options_of(function) -> list[Option]:
 
 
 def strategy(option: Option) -> st.SearchStrategy:
-    """Values that an option of a public callable is tried with.
+    """Return a Hypothesis strategy for the values of one option.
 
     Raises:
-        KeyError: There is no object of this name in ``OBJECTS`` yet.
+        KeyError: ``OBJECTS`` has no strategy for an object of this name.
     """
-    # An error of the caller's own callback is no refusal.
+    # Fuzzed values of ``progress`` are never callable, because an error raised by the caller's callback is not a
+    # refusal.
     anything = [value for value in _ANYTHING if option.name != "progress" or not callable(value)]
     return st.one_of(st.sampled_from(anything), *[_of_its_kind(option)] * 2)
 
 
 def _of_its_kind(option: Option) -> st.SearchStrategy:
-    """Values of an option's own kind, extreme ones among them, and those at its limits."""
+    """Return a strategy for values of the type that an option expects, including extreme values and its limits."""
     simple = {
         "flag": st.sampled_from([0, 1, "yes", "no", np.bool_(0), True, False]),
         "choice": st.sampled_from([*option.choices, *SPELLINGS, "x"]),
@@ -242,7 +243,7 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
-    # Counts at their upper limit are computed, but not soon.
+    # Counts at their upper limit are legal but slow, so only the next larger count is tested, which is refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one
@@ -254,12 +255,12 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
 
 
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
-# The library makes these, not a user; errors and warnings accept any text.
+# Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
-# Methods that pictures call, with arguments that are checked before.
+# Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
-# ``self`` where it is not fuzzed, by a call, and the arguments whose strategy it takes where it is.
+# Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
@@ -268,7 +269,7 @@ OWNERS = {
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
-# Legal arguments that go with a fuzzed one; those of functions override those of all.
+# Legal values for arguments that are not fuzzed in a call. ``LEGAL_OF`` overrides them for single functions.
 LEGAL = {
     "heightfield": HEIGHTFIELD, "mesh": MESH, "light": LIGHT, "lights": LIGHT, "view": VIEW, "to_light": UP,
     "to_view": UP, "wavelengths_nm": [500.0], "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0),
@@ -292,7 +293,7 @@ LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes}
 
 
 def write_files(folder: Path) -> None:
-    """Write the files that legal arguments name."""
+    """Write the files that the legal arguments refer to."""
     np.save(folder / "a.npy", WAVY.heights_um)
     np.save(folder / "integers.npy", np.arange(96, dtype=np.uint8).reshape(8, 12))
     np.save(folder / "gaps.npy", [[0.0, math.nan]])
@@ -304,7 +305,7 @@ def write_files(folder: Path) -> None:
 
 
 def public():
-    """Every public callable by its name: the callable, and the class that it is a method of."""
+    """Yield the name, the callable and the owning class (or None) of every public function, class and method."""
     for name in wd.__all__:
         member = getattr(wd, name)
         if inspect.ismodule(member):
@@ -326,14 +327,14 @@ PUBLIC = {name: (function, owner) for name, function, owner in public()}
 
 
 def call(name, fuzzed):
-    """Call something public with fuzzed arguments, and legal ones for the rest."""
+    """Call a public function with the fuzzed arguments, and with legal values for all other arguments."""
     function, owner = PUBLIC[name]
     if name == "Plan":
         fuzzed_plan = dataclasses.replace(plan(), **fuzzed)
         return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
     arguments = {}
     for key, parameter in inspect.signature(function).parameters.items():
-        # The arguments of gratings that have a default are quick.
+        # Default arguments of gratings are cheap, so they are not replaced by the legal values.
         if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
             arguments[key] = LEGAL[key]
         elif key in LEGAL_BY_CALL and key not in fuzzed:
@@ -344,7 +345,7 @@ def call(name, fuzzed):
         arguments.pop("pitch_um")
     arguments |= LEGAL_OF.get(name, {}) | fuzzed
     if arguments.get("coherence") is MOST_PERIODS and str(arguments.get("method")) == "direct":
-        # The float64 sum of so many periods takes a minute for each direction by its nature.
+        # The float64 direct sum over 100,000 periods requires a minute per direction, so 100 periods are used instead.
         arguments["coherence"] = wd.Coherence("replicas", periods=(1, 100))
     if owner is None:
         return function(**arguments)

@@ -1,16 +1,16 @@
-"""A triangle with a texture as a glTF file, whose buffer and image lie where a test wants them."""
+"""A textured triangle as a glTF file, with configurable locations of its buffer and image."""
 
 import base64
 import json
 import struct
 
-# Three positions, three texture coordinates, three indices.
+# Binary glTF buffer: three vertex positions, three texture coordinates and three vertex indices.
 BUFFER = struct.pack("<15f3H", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 0, 1, 2)
 DATA_URI = "data:application/octet-stream;base64," + base64.b64encode(BUFFER).decode()
 
 
 def gltf(*, buffer=DATA_URI, image="paint.png"):
-    """A triangle with a texture, as JSON."""
+    """Return the glTF JSON of a textured triangle."""
     views = [(0, 36), (36, 24), (60, 6)]
     accessors = [(0, 5126, "VEC3"), (1, 5126, "VEC2"), (2, 5123, "SCALAR")]
     return json.dumps(

@@ -1,7 +1,7 @@
-"""Specification of the native look-ups in plain Warp, pixel by pixel: slow, to be read and compared with.
+"""Reference implementation of the native table look-ups in plain Warp: one pixel at a time, slow but readable.
 
-``native/point_lookup.h`` and ``native/footprint_lookup.h`` do the same for many pixels side by side, with series in
-place of logarithms, exponentials and arc tangents.
+The native look-ups in ``native/point_lookup.h`` and ``native/footprint_lookup.h`` compute the same results for several
+pixels at once, with series instead of logarithms, exponentials and arc tangents.
 """
 
 import functools
@@ -15,7 +15,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# As in footprint_lookup.h.
+# Constants with the values used in ``kernels/native/footprint_lookup.h``.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
@@ -25,7 +25,7 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# As in ring_sum.h.
+# Constants with the values used in ``kernels/native/ring_sum.h``.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -38,7 +38,7 @@ LOG_2 = wp.constant(wp.float32(math.log(2.0)))
 
 @wp.func
 def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
-    """An angle from 0 to 1."""
+    """Return the azimuth of (u, v) in turns, from 0 to 1."""
     turns = wp.atan2(v, u) / (2.0 * wp.PI)
     if turns < 0.0:
         turns += 1.0
@@ -47,28 +47,28 @@ def turns_of(u: wp.float32, v: wp.float32) -> wp.float32:
 
 @functools.cache
 def lookup(w_basis_size: int, source: bool = False) -> Any:
-    """The kernel, whose arguments are those of ``colour_lookup.lookup(w_basis_size, source).integrate``."""
+    """Return a kernel with the same arguments as ``colour_lookup.lookup(w_basis_size, source).integrate``."""
     fast = colour_lookup.lookup(w_basis_size, source)
     Colours, FootprintTaps, row_t, w_basis_t = fast.Colours, colour_lookup.FootprintTaps, fast.row, fast.w_basis  # noqa: N806
-    # Sums of rows, and of their weights.
+    # Vector type for weighted sums of table rows, with the sum of the weights as its last element.
     row_w_t = wp.types.vector(length=3 * w_basis_size + 1, dtype=wp.float32)
 
     @wp.func
     def row_at(table: Colours, level: wp.int32, azimuth: wp.int32, ring: wp.int32) -> row_t:
-        """A level's row of a ring at an azimuth."""
+        """Return the table row at one mip level, azimuth index and ring index."""
         octave = ring // table.rings_per_octave
         first = table.first_rows[level, octave] + azimuth * table.rings_per_octave
         return table.rows[first + ring - octave * table.rings_per_octave]
 
     @wp.func
     def ring_of(table: Colours, u: wp.float32, v: wp.float32) -> wp.float32:
-        """The place among the rings of (u, v)."""
+        """Return the fractional ring index of (u, v); rings are spaced evenly in ln |(u, v)|."""
         size = wp.max(wp.sqrt(u * u + v * v), table.least_uv)
         return wp.log(size) * table.rings_per_log + table.ring_of_one
 
     @wp.func
     def w_basis_at(table: Colours, w: wp.float32) -> w_basis_t:
-        """The functions at |w|: the cubic through four entries."""
+        """Return the basis functions of w at |w|, by cubic interpolation between four table entries."""
         steps = wp.max((w - table.least_w) * table.per_w, 0.0)
         entry = wp.clamp(wp.int32(steps) - 1, 0, table.w_basis.shape[0] - 4)
         t = steps - wp.float32(entry) - 1.0
@@ -81,7 +81,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """XYZ of a sum of rows; projected colour curves have shallow negative lobes."""
+        """Return XYZ of a sum of rows at w, at least 0: the projected colour curves have shallow negative lobes."""
         at_w = w_basis_at(table, w)
         result = wp.vec3f()
         for c in range(3):
@@ -94,7 +94,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def zeroth_order(
         table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, covariance: wp.mat22f, source2: wp.float32
     ) -> wp.vec3f:
-        """XYZ of the zeroth order over a covariance of (u, v): a Gaussian at each wavelength."""
+        """Return XYZ of the zeroth order over a covariance of (u, v), as a sum of Gaussians over wavelengths."""
         result = wp.vec3f()
         entries = table.zeroth_order.shape[0]
         if entries == 0:
@@ -116,7 +116,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def point(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32) -> wp.vec3f:
-        """The colour of a single direction: splines between three rings, and on each between three azimuth samples."""
+        """Return the colour of one direction, by splines over three rings and over three azimuth samples per ring."""
         octaves = table.azimuths.shape[1]
         place = wp.min(ring_of(table, u, v), wp.float32(octaves * table.rings_per_octave - 2))
         middle = wp.int32(wp.rint(place))
@@ -134,7 +134,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def to_polar(table: Colours, u: wp.float32, v: wp.float32, covariance: wp.mat22f) -> wp.mat22f:
-        """The covariance of the angle and of ln |(u, v)| to first order."""
+        """Return the covariance of the azimuth and of ln |(u, v)|, to first order in the covariance of (u, v)."""
         uv2 = wp.max(u * u + v * v + table.lobe_uv * table.lobe_uv, table.least_uv * table.least_uv)
         across = wp.vec2f(-v, u) / uv2
         along = wp.vec2f(u, v) / uv2
@@ -147,12 +147,14 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def sum_of_azimuths(
         table: Colours, taps: FootprintTaps, ring: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
     ) -> row_t:
-        """A ring's rows around an angle, on the mip level that is blurred by as much as ``level_of`` or less."""
+        """Return the weighted mean of one ring's rows around an azimuth, from the mip level whose blur is at most
+        ``level_of``.
+        """
         octave = ring // table.rings_per_octave
         line2 = wp.float32(0.0)
         if wp.static(source):
             line2 = table.line_blurs2[octave]
-        # Levels are blurred each twice as much as the one before.
+        # Each mip level is blurred twice as much as the level before it.
         first = table.blurs[1, octave]
         level = wp.int32(wp.floor(0.5 * wp.log2(wp.max(level_of - line2, 1.0e-30) / (first * first)))) + 1
         level = wp.clamp(level, 0, table.azimuths.shape[0] - 1)
@@ -177,14 +179,14 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def part(
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
-        """The mean colour over a Gaussian in ln |(u, v)| and the angle, which may go together."""
-        # Beyond these it is no range of angles and ratios.
+        """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
+        # Standard deviations of wide footprints are limited, because the approximation in ln |(u, v)| fails for them.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share
         ratio2 = polar[1, 1] * ratio_share * ratio_share
         both = polar[0, 1] * turn_share * ratio_share
-        # The mean of ln |(u, v)| to second order.
+        # The centre of the footprint is the mean of ln |(u, v)|, to second order in the standard deviations.
         place = ring_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.rings_per_log
         variance = ratio2 * table.rings_per_log * table.rings_per_log + 0.25
         deviation = wp.sqrt(variance)
@@ -205,7 +207,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         while apart < 8 and wp.float32(2 * apart) <= most:
             apart = 2 * apart
 
-        # Weights of rings are tabulated, or those of a Gaussian that is cut off.
+        # Narrow footprints use tabulated ring weights. Wide footprints use a truncated Gaussian.
         tabulated = variance < MOST_TABULATED + 0.25
         step = wp.int32(0)
         half = DEVIATIONS * deviation
@@ -227,7 +229,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
             if tabulated:
                 weight = taps.weights[step, fraction, ring - first]
-            # Further out a straight footprint is as wide, and less of an angle.
+            # A straight footprint has the same width at a larger radius, and therefore spans a smaller range of
+            # azimuths.
             nearer = wp.exp(-(wp.float32(ring) - place) / table.rings_per_log + 0.5 * ratio2)
             turns = turns_of(u, v) + turn_per_ring * table.rings_per_log * (1.0 - nearer) / (2.0 * wp.PI)
             row_sum += weight * sum_of_azimuths(table, taps, ring, turns, aside2 * nearer * nearer, aside2)
@@ -241,14 +244,14 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:  # fmt: skip
-        """A ring's rows on a level, weighed by a Gaussian that is narrower along the ring by what blurs them."""
+        """Return the Gaussian-weighted sum of a ring's rows; the Gaussian is narrowed by the rows' own blur."""
         octave = ring // table.rings_per_octave
         radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
         cutoff = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
-        # Coefficients of a spline are sharper than its values.
+        # Spline coefficients are sharper than the values of the spline, so a smaller blur is subtracted.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for azimuth in range(azimuths):
@@ -271,7 +274,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
-        """The mean colour over a wide Gaussian of (u, v): rows at rings and azimuths, weighted by its density."""
+        """Return the mean colour over a wide Gaussian of (u, v), as a sum of rows weighted by its density."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
         covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)
@@ -323,7 +326,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Whether a source blurs less than the rows are blurred, or so much that it is no range of angles."""
+        """Return whether a source is narrower than the blur of the rows, or too wide for a range of azimuths."""
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
         over2 = polar[1, 1] + 0.25 / (table.rings_per_log * table.rings_per_log)
@@ -347,7 +350,9 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of ``run`` directions a thread to ``xyz_out``; an empty array of footprints is none."""
+        """Add the XYZ of ``run`` directions per thread to ``xyz_out``. An empty ``footprints`` array means no
+        footprints.
+        """
         begin = (first + wp.tid()) * run
         for i in range(begin, wp.min(begin + run, gains.shape[0])):
             u = wp.float32(scattering_vectors[i][0])
@@ -377,7 +382,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
                 xyz_out[i] += gains[i] * over_rings(table, u, v, w, covariance)
                 continue
             polar = to_polar(table, u, v, covariance)
-            # Split where the direction turns by much: parts along what goes with the angle are straight.
+            # A footprint that spans a wide range of azimuths is split into parts along the azimuth, which are nearly
+            # straight.
             whole = wp.sqrt(polar[0, 0])
             count = wp.clamp(wp.int32(wp.ceil(whole / MOST_TURN)), 1, wp.static(colour_lookup.MOST_PARTS))
             uv2 = wp.max(uv2, table.least_uv * table.least_uv)

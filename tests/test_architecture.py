@@ -1,4 +1,4 @@
-"""Rules of the source tree: the layers, by import-linter, and what it cannot check."""
+"""Rules of the source tree: the package layers, checked by import-linter, and rules that it cannot check."""
 
 import ast
 import collections
@@ -21,9 +21,9 @@ SOURCES = {
     for package, folder in {"warpdiff": "warpdiff", "warpdiff.kernels": "kernels"}.items()
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
-# Packages that import Warp neither themselves nor through others.
+# Packages that must not import Warp, neither directly nor through other packages.
 WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "samples")
-# Attributes of Warp's objects that Warp's reference does not describe.
+# Pattern of attributes of Warp's objects that Warp's reference does not document.
 UNDOCUMENTED = (
     r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
 )
@@ -39,7 +39,7 @@ def test_import_linter_finds_no_broken_contract():
 
 
 def test_kernels_import_only_kernels_and_packages_below_apps_no_public_names():
-    """import-linter takes ``warpdiff.kernels`` for ``warpdiff`` in an editable install."""
+    """Check imports of ``warpdiff.kernels`` here: in an editable install import-linter treats it as ``warpdiff``."""
     for name, path in SOURCES.items():
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         imported = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
@@ -54,7 +54,7 @@ def test_packages_without_warp_do_not_load_it():
     run(sys.executable, "-c", f"import sys, {', '.join(names)}; assert 'warp' not in sys.modules")
 
 
-def test_only_device_uses_what_warp_does_not_document():
+def test_only_the_device_package_uses_undocumented_parts_of_warp():
     users = {name for name, path in SOURCES.items() if re.search(UNDOCUMENTED, path.read_text(encoding="utf-8"))}
     assert {name.rpartition(".")[0] for name in users} == {"warpdiff.device"}
 
@@ -89,7 +89,7 @@ def test_pages_that_the_code_refers_to_exist():
     assert not [page for page in pages if not (ROOT / page).is_file()]
 
 
-# Each public name works once all modules are imported: no module takes its place.
+# Script that calls every public name after all modules are imported. No module may shadow a public name.
 CALLS = """
 import tempfile, warnings
 import numpy as np

@@ -18,7 +18,7 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def public_names() -> list[str]:
-    """Names of ``wd.__all__``, and the public functions of its modules, such as ``wd.gratings``."""
+    """Return the names in ``wd.__all__`` and the public functions of public modules such as ``wd.gratings``."""
     names = list(wd.__all__)
     for name in wd.__all__:
         value = getattr(wd, name)
@@ -32,7 +32,7 @@ def public_names() -> list[str]:
 
 
 def members(name: str) -> Iterator[tuple[str, object]]:
-    """The object of a public name and, of a class, its public methods and properties with their own docstring."""
+    """Yield the object of a public name. For a class, also yield its public methods and properties."""
     value: object = wd
     for part in name.split("."):
         value = getattr(value, part)
@@ -44,7 +44,7 @@ def members(name: str) -> Iterator[tuple[str, object]]:
 
 
 def examples(name: str, value: object) -> doctest.DocTest:
-    """The examples of a docstring; attributes have none of their own."""
+    """Return the examples in the docstring of an object; plain attributes have no docstring of their own."""
     has_docstring = callable(value) or isinstance(value, property) or inspect.ismodule(value)
     text = inspect.getdoc(value) or "" if has_docstring else ""
     return doctest.DocTestParser().get_doctest(text, {"np": np, "wd": wd}, name, None, None)
@@ -52,14 +52,14 @@ def examples(name: str, value: object) -> doctest.DocTest:
 
 @pytest.mark.parametrize("name", public_names())
 def test_public_name_has_an_example(name):
-    """The docstring of the name itself has an example; examples of methods do not count."""
+    """Check that the docstring of a public name contains an example; examples in its methods do not count."""
     _, value = next(members(name))
     assert examples(name, value).examples, f"the docstring of {name} has no example"
 
 
 @pytest.mark.parametrize("name", public_names())
 def test_examples_run(name, tmp_path, monkeypatch):
-    """The examples of the name and of its methods print what they show; a relative path is in a temporary folder."""
+    """Run the examples of a name and of its methods in a temporary folder, and compare the printed output."""
     monkeypatch.chdir(tmp_path)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
     report: list[str] = []

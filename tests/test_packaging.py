@@ -1,4 +1,4 @@
-"""The wheel, the sdist and the editable install, used from outside the checkout, and imports of the package."""
+"""The wheel, the sdist and the editable install, used from outside of the checkout, and imports of the package."""
 
 import ast
 import functools
@@ -21,8 +21,9 @@ SOURCES = ("warpdiff", "kernels", "tests", "bench")
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-# Runs without the site module, so that neither an editable install nor the checkout itself can stand in for what the
-# package lacks; the dependencies come last on the path.
+# First lines of a test script. Python runs without the site module, so that neither an editable install nor the
+# checkout
+# can supply files that the installed package lacks. Dependencies come last on the path.
 PRELUDE = """
 import sys
 target, source, dependencies = sys.argv[1], sys.argv[2], sys.argv[3].split("|")
@@ -54,7 +55,7 @@ runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 
 
 def run(command: list[str | Path], cwd: Path) -> str:
-    """Standard output of a command that must succeed, without network and without what PYTHON* says."""
+    """Return the standard output of a command that must succeed, without network and without ``PYTHON*`` variables."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300)
@@ -63,7 +64,7 @@ def run(command: list[str | Path], cwd: Path) -> str:
 
 
 def copy_of_the_tree(folder: Path) -> Path:
-    """A copy of what is under version control, so that a build leaves nothing in the checkout."""
+    """Copy the source tree to a folder, so that a build leaves no files in the checkout."""
     folder.mkdir()
     for name in SOURCES:
         if (ROOT / name).is_dir():
@@ -75,23 +76,23 @@ def copy_of_the_tree(folder: Path) -> Path:
 
 
 def build(kind: str, tree: Path, into: Path) -> Path:
-    """Call the build backend's hook, as pip does, but with the setuptools that is installed."""
+    """Build a package by the setuptools hook that pip calls, with the installed version of setuptools."""
     into.mkdir(exist_ok=True)
     code = f"import sys; from setuptools import build_meta; print(build_meta.build_{kind}(sys.argv[1]))"
     return into / run([sys.executable, "-c", code, into], tree).splitlines()[-1]
 
 
 def install(wheel: Path, target: Path) -> Path:
-    """Install a wheel alone."""
+    """Install a wheel without its dependencies."""
     options = ["--quiet", "--no-deps", "--no-compile", "--target", target]
     run([sys.executable, "-m", "pip", "install", *options, wheel], target.parent)
     return target
 
 
 def check_installed(target: Path, source: Path, outside: Path) -> None:
-    """Import and use the package installed in ``target``, whose files lie in ``source``, from another folder.
+    """Import and use the package installed in ``target`` from another folder; its files must be in ``source``.
 
-    This folder has a folder ``warpdiff`` without a package, such as a clone, which must not be imported instead.
+    The other folder contains an empty folder ``warpdiff``, such as a clone has, which must not be imported instead.
     """
     (outside / "warpdiff" / "kernels").mkdir(parents=True)
     dependencies = [path for path in sys.path if Path(path).is_dir() and Path(path).resolve() != ROOT]
@@ -103,18 +104,18 @@ def check_installed(target: Path, source: Path, outside: Path) -> None:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> Path:
-    """A copy of the tree to build from."""
+    """Return a copy of the source tree to build from."""
     return copy_of_the_tree(tmp_path_factory.mktemp("source") / "tree")
 
 
 def shipped(folder: str) -> set[str]:
-    """Files below one folder of the checkout: code, and the data that it reads."""
+    """Return the relative paths of all files in one folder of the checkout: code and data files."""
     files = (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     return {path.relative_to(ROOT / folder).as_posix() for path in files}
 
 
 def check_wheel(wheel: Path) -> None:
-    """Check that a wheel holds the package and nothing else."""
+    """Check that a wheel contains the package and no other files."""
     names = set(zipfile.ZipFile(wheel).namelist())
     info = f"warpdiff-{PROJECT['version']}.dist-info"
     expected = {f"warpdiff/{name}" for name in shipped("warpdiff")}
@@ -137,13 +138,13 @@ def test_sdist_and_its_wheel(tree, tmp_path):
         assert not missing
     wheel = build("wheel", unpacked, tmp_path / "from_sdist")
     check_wheel(wheel)
-    # Kernels include headers from there.
+    # The compiler must find the kernels' header files in a folder whose name has spaces and non-ASCII letters.
     target = install(wheel, tmp_path / "Pakete für mich")
     check_installed(target, target, tmp_path / "outside")
 
 
 def test_editable(tree, tmp_path):
-    # Without scripts, to install a wheel is to unpack it.
+    # The editable wheel has no install scripts, so unpacking it installs it.
     with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
         wheel.extractall(tmp_path / "target")
     check_installed(tmp_path / "target", tree, tmp_path / "outside")
@@ -151,7 +152,7 @@ def test_editable(tree, tmp_path):
 
 @functools.cache
 def imported(path: Path) -> set[str]:
-    """Top-level names that a file imports, wherever in it."""
+    """Return the top-level names that a file imports, at any place in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -161,14 +162,14 @@ def imported(path: Path) -> set[str]:
     return names
 
 
-def test_dependencies_are_what_is_imported():
+def test_declared_dependencies_equal_the_imported_packages():
     names = {"warp": "warp-lang", "colour": "colour-science", "PIL": "pillow", "annotated_types": "annotated-types"}
     used = set().union(
         *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
     )
     used = {names.get(name, name) for name in used - sys.stdlib_module_names - {"warpdiff"}}
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
-    # Packages that only single commands require are extras.
+    # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
     commands = ("view", "data", "dask", "mitsuba")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
@@ -185,7 +186,7 @@ def test_kernels_are_never_imported_by_their_folder():
 def test_a_plain_import_is_light():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
-    # Code without a device does not import Warp. No start imports packages that only some calls require.
+    # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan"
     code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"
@@ -215,5 +216,5 @@ def test_everything_public_has_one_canonical_path():
             assert getattr(sys.modules[public.__module__], name) is public
 
 
-def test_the_version_is_that_of_the_metadata():
+def test_the_version_equals_that_of_the_metadata():
     assert wd.__version__ == PROJECT["version"]

@@ -1,4 +1,4 @@
-"""The command line, run as a user would: exit codes, files, messages, progress."""
+"""The command line as users run it: exit codes, files, messages and progress."""
 
 import argparse
 import functools
@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from conftest import slow, write_image
 
@@ -24,7 +24,7 @@ SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
 
 def run(line, *more):
-    """The exit code of a command line, whose words contain no spaces, and of more words, which may."""
+    """Return the exit code of a command line, and of further words, which may contain spaces."""
     return cli.main([*line.split(), *map(str, more)])
 
 
@@ -48,7 +48,7 @@ def test_render_of_files(tmp_path, fuze_path):
     assert 0.05 < pixels[..., 3].mean() < 0.9
 
 
-def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path):
+def test_a_picture_under_a_sky_and_a_point_light_equals_that_of_the_library(tmp_path):
     polar, azimuth = (np.arange(8) + 0.5) / 8, (np.arange(16) + 0.5) / 16
     radiance = np.stack([*np.broadcast_arrays(polar[:, None], azimuth, 1.0 - polar[:, None])], axis=-1)
     write_image(tmp_path / "sky.exr", radiance.astype(np.float32))
@@ -58,7 +58,7 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path):
     sky_file = ["--environment", tmp_path / "sky.exr"]
     assert run(line, *sky_file, "-o", tmp_path / "under.exr") == 0
     assert run(line, *sky_file, "--environment-behind", "-o", tmp_path / "under.png") == 0
-    found = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
+    result = oiio.ImageBuf(str(tmp_path / "under.exr")).get_pixels(oiio.FLOAT)
     sky = wd.Environment(radiance, rotation_deg=40.0, scale=2.0, directions=16)
     view = wd.View((0, 1, 3), (0, 0, 0), fov_y_deg=40, width=16, height=12)
     lights = [wd.PointLight((1, 2, 1), power=3.0), sky]
@@ -68,7 +68,7 @@ def test_a_picture_under_a_sky_and_a_lamp_is_the_librarys(tmp_path):
     )  # fmt: skip
     exact.save(tmp_path / "exact.exr")
     exact.save(tmp_path / "exact.png", background=sky.background(view) / np.float32(0.04))
-    assert np.array_equal(found, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
+    assert np.array_equal(result, oiio.ImageBuf(str(tmp_path / "exact.exr")).get_pixels(oiio.FLOAT))
     shown, same = (oiio.ImageBuf(str(tmp_path / name)).get_pixels() for name in ("under.png", "exact.png"))
     assert np.abs(shown - same).max() < 0.01
 
@@ -98,7 +98,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
 def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
-    """Their shots are those of the library's functions."""
+    """The shots of a command-line sequence equal those of the library's functions."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
     monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])
@@ -134,7 +134,7 @@ def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, caps
     [["--port", "70000"], ["no.obj"], ["--heightfield", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
      ["--environment", "no.exr"], ["--environment", __file__]],
 )  # fmt: skip
-def test_a_viewer_that_cannot_begin_says_why(arguments, capsys):
+def test_a_viewer_that_cannot_start_reports_the_reason(arguments, capsys):
     assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("warpdiff view:")
@@ -156,7 +156,7 @@ def test_brdf_writes_a_map(tmp_path):
      (["--coherence", "replicas", "--periods", "1", "12"], "1 × 12 periods"),
      (["--method", "power"], "Chebyshev series of the powers")],
 )  # fmt: skip
-def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path, capsys):
+def test_the_plan_reports_the_requested_coherence_and_method(options, said, tmp_path, capsys):
     assert run("brdf --heightfield blazed --tolerance 0.1 --size 6", *options, "-o", tmp_path / "map.exr") == 0
     assert said in capsys.readouterr().out
 
@@ -166,7 +166,7 @@ def test_a_coherence_and_a_method_are_what_the_plan_says(options, said, tmp_path
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # Planning for this window is faster by seconds.
+    # A short coherence window makes planning several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out
@@ -191,7 +191,7 @@ def test_info_of_the_scan(scan_path, capsys):
         ("render disc --heightfield blazed:period_um -o x.png", "period_um"),
     ],
 )
-def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
+def test_invalid_input_has_exit_code_2(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(arguments) == 2
     error = capsys.readouterr().err
@@ -200,7 +200,7 @@ def test_bad_input_is_2(arguments, message, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys):
+def test_messages_name_the_arguments_of_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     heights = np.add.outer(np.zeros(9), np.arange(40.0) ** 2) * 1e-4
     np.save("slope.npy", heights)
@@ -219,16 +219,16 @@ def test_messages_speak_of_the_commands_arguments(tmp_path, monkeypatch, capsys)
     "arguments",
     [BRDF, "render tube --heightfield blazed -o tube.exr", "demo"],
 )
-def test_an_unwritable_folder_is_said_before_rendering(arguments, tmp_path, monkeypatch, capsys):
+def test_an_unwritable_folder_is_reported_before_rendering(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # Nothing is denied to root.
+    # The root user may write everywhere, so the check of permissions is replaced.
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr("warpdiff.device.devices.load", lambda *_: pytest.fail("kernels are loaded"))
     assert run(arguments) == 2
     assert "is not writable; use another one" in capsys.readouterr().err
 
 
-def test_options_that_are_not_given_are_the_librarys():
+def test_omitted_options_have_the_defaults_of_the_library():
     for command in (["render", "tube"], ["brdf"]):
         arguments = [*command, "--heightfield", "fingers", "-o", "a.png"]
         options = cli._parser(arguments).parse_args(arguments)
@@ -236,14 +236,14 @@ def test_options_that_are_not_given_are_the_librarys():
         assert given(options, describe(wd.Image.save)) == {}
 
 
-def test_unknown_options_are_2():
+def test_unknown_options_have_exit_code_2():
     for arguments in ([], ["paint"], ["info"], ["info", "--heightfield", "blazed", "--colour", "red"]):
         with pytest.raises(SystemExit) as stopped:
             cli.main(arguments)
         assert stopped.value.code == 2
 
 
-def test_a_misspelt_flag_gets_the_one_that_was_meant(capsys):
+def test_a_message_about_a_misspelt_flag_proposes_the_correct_one(capsys):
     with pytest.raises(SystemExit):
         cli.main(["info", "--heightfield", "blazed", "--tolernce", "0.1"])
     assert capsys.readouterr().err == (
@@ -251,7 +251,7 @@ def test_a_misspelt_flag_gets_the_one_that_was_meant(capsys):
     )
 
 
-def test_failure_is_1_and_interruption_130(monkeypatch, tmp_path, capsys):
+def test_failure_has_exit_code_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     def fail(*_args, **_options):
         raise OSError("disk full")
 
@@ -288,7 +288,7 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
 
 
 def run_without_home(code, folder, **environment):
-    """Run code where a user has no folder."""
+    """Run Python code for a user without a home folder."""
     homes = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
     names = {key: value for key, value in os.environ.items() if key not in homes}
     names |= {"TMPDIR": str(folder)} | environment
@@ -297,7 +297,7 @@ def run_without_home(code, folder, **environment):
 
 
 @pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
-def test_a_user_without_a_home_is_served(tmp_path):
+def test_a_user_without_a_home_folder_can_run_commands(tmp_path):
     done = run_without_home(
         "import pwd\ndef none(_): raise KeyError\npwd.getpwuid = none\n"
         "from warpdiff.device.devices import resolve_device; resolve_device(None); import warp\n"
@@ -309,7 +309,7 @@ def test_a_user_without_a_home_is_served(tmp_path):
 
 
 @pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
-def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
+def test_an_unwritable_kernel_cache_is_not_reported_as_a_device_error(tmp_path):
     (tmp_path / "file").touch()
     code = "import sys; from warpdiff.apps import cli; sys.exit(cli.main(['info', '--heightfield', 'lamellar']))"
     done = run_without_home(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file"))
@@ -319,7 +319,7 @@ def test_kernels_that_cannot_be_kept_are_not_the_devices_fault(tmp_path):
     assert "device must" not in done.stderr
 
 
-def test_help_teaches(capsys):
+def test_help_texts_explain_commands_and_options(capsys):
     for command in ("demo", "render", "brdf", "info", "cache"):
         with pytest.raises(SystemExit) as stopped:
             cli.main([command, "--help"])
@@ -336,17 +336,17 @@ def test_warnings_are_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
 
 
-# Pictures 18 pixels wide have larger errors.
+# Test pictures are only 18 pixels wide, so their errors are larger, and the warning about errors is ignored.
 TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_fingers(fingers, *, size_um, pitch_um):
-    """Return fingers on a patch a sixth as wide."""
+    """Return fingers on a patch with a sixth of the given width."""
     return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
 
 
 def rough(compute, *scene, **options):
-    """A picture or map at a tolerance of 0.3, under a window of 3 µm."""
+    """Compute a picture or map with a tolerance of 0.3 and a window of 3 µm."""
     return compute(*scene, **options | {"tolerance": 0.3, "coherence": wd.Coherence(sigma_um=3.0)})
 
 
@@ -354,7 +354,7 @@ def rough(compute, *scene, **options):
 def test_demo_without_the_data(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
-    # A smaller grating, window and tolerance save seconds.
+    # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
     monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
     for name in ("shade", "reflectance_map"):
         monkeypatch.setattr(demo, name, functools.partial(rough, getattr(demo, name)))

@@ -1,4 +1,4 @@
-"""Baked lobes and spectra, against closed forms, the float64 reference, and what they were baked from."""
+"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields."""
 
 import dataclasses
 import math
@@ -27,8 +27,8 @@ def spectrum(fingers):
     return wd.bake_spectrum(fingers, coherence=WIDE, size=512, tolerance=1e-2)
 
 
-def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
-    """Against the float64 reference, on directions that baking did not look at, the bright ones among them."""
+def test_colours_are_within_the_requested_difference(fingers, lobes):
+    """Half of the compared directions are drawn in proportion to their luminance. Baking has used none of them."""
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
     luminance = lobes.reflectance(lights, views)[:, 1].astype(float)
@@ -43,7 +43,7 @@ def test_colours_keep_the_difference_that_was_asked_for(fingers, lobes):
     assert 0.0 < lobes.error <= TOLERANCE
 
 
-def test_a_spectrum_is_within_the_colours_and_in_the_file(fingers, tmp_path):
+def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path):
     incandescent = wd.Spectrum.blackbody(2856.0)
     baked = wd.bake(fingers, coherence=WIDE, illuminant=incandescent, delta_e=4.0)
     loaded = wd.BakedLobes.load(baked.save(tmp_path / "lobes.npz"))
@@ -56,13 +56,13 @@ def test_a_spectrum_is_within_the_colours_and_in_the_file(fingers, tmp_path):
     assert np.median(differences) <= 1.0
 
 
-def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
-    """Against the float64 reference, whose reflectances are by characteristic matrices."""
+def test_a_material_is_part_of_the_colours_and_of_the_file(fingers, tmp_path):
+    """The float64 reference computes reflectances from characteristic matrices."""
     gold = wd.Material.metal("Au")
     baked = wd.bake(fingers, coherence=WIDE, material=gold, delta_e=3.0)
     rng = np.random.default_rng(92)
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
-    # Some in the mirror direction, where the mean plane is seen.
+    # Every tenth view is in the mirror direction, where the zeroth order dominates.
     views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
     exact = reference.reference_reflectance(fingers, lights, views, WIDE, tolerance=1e-3, material=gold)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]
@@ -77,10 +77,10 @@ def test_gold_is_within_the_colours_and_in_the_file(fingers, tmp_path):
         wd.bake(fingers, coherence=WINDOW, material=wd.Material.dielectric(1.5))
 
 
-def test_a_flat_mirror_is_its_closed_form():
+def test_a_flat_mirror_equals_its_closed_form():
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     baked = wd.bake(flat, coherence=WINDOW)
-    # Around the mirror direction, where there is something to see.
+    # The views are around the mirror direction, because a flat mirror is dark elsewhere.
     views = np.array([math.sin(0.3), 0.0, math.cos(0.3)]) + np.random.default_rng(5).normal(0.0, 0.03, (200, 3))
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     light = np.array([[-math.sin(0.3), 0.0, math.cos(0.3)]])
@@ -92,13 +92,13 @@ def test_a_flat_mirror_is_its_closed_form():
     np.testing.assert_allclose(baked.reflectance(light, views), exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
-def test_more_is_kept_where_less_may_differ(fingers, lobes):
+def test_a_smaller_delta_e_needs_more_bytes(fingers, lobes):
     rough = wd.bake(fingers, coherence=WINDOW, delta_e=8.0)
     assert rough.error <= 8.0
     assert rough.bytes < lobes.bytes
 
 
-def test_lobes_of_a_source_are_those_of_light_from_above():
+def test_lobes_of_a_source_are_baked_for_normal_incidence():
     bumps = wd.gratings.bumps(height_um=0.1, width_um=0.4, length_um=0.6, spacing_um=(1.0, 0.75))
     sun = wd.Coherence("source", angular_diameter_deg=6.0)
     baked = wd.bake(bumps, coherence=sun, delta_e=6.0)
@@ -110,7 +110,7 @@ def test_lobes_of_a_source_are_those_of_light_from_above():
     assert np.percentile(differences, 95.0) <= 6.0
 
 
-def test_a_cartesian_grid_holds_the_same(lobes):
+def test_a_cartesian_grid_has_the_same_values(lobes):
     grid = lobes.cartesian(256)
     assert grid.shape == (256, 256, 3, lobes.functions.shape[1])
     row, column = 140, 77
@@ -123,7 +123,7 @@ def test_a_cartesian_grid_holds_the_same(lobes):
     assert not grid[0, 0].any(), "outside the disc there is nothing"
 
 
-def test_a_spectrum_is_that_of_the_directions(fingers, spectrum):
+def test_a_baked_spectrum_equals_the_reflectance_of_directions(fingers, spectrum):
     rng = np.random.default_rng(17)
     lights, views = hemisphere(rng, 400, lowest=0.2), hemisphere(rng, 400, lowest=0.2)
     wavelength = 520.0
@@ -144,13 +144,13 @@ def test_a_spectrum_is_that_of_the_directions(fingers, spectrum):
     power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
     gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
     relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
-    # Cells of a quarter of a lobe's deviation blur it a little.
+    # Baking averages the spectrum over cells a quarter of a lobe's standard deviation wide, which blurs it slightly.
     assert np.percentile(relative, 90.0) < 0.05
     assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
 
 
-def test_the_powers_of_a_sine_add_up_to_what_bessel_functions_leave():
-    """Σ over the cells of 4πσ² times the power is the sum of the orders but for the zeroth, J₀² … of them all."""
+def test_the_powers_of_a_sine_add_up_to_squared_bessel_functions():
+    """The sum of 4πσ² · power over all cells equals the sum of J_m² over all orders m except the zeroth."""
     sine = wd.gratings.sinusoidal(2.0, 0.2)
     baked = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
     kappas = np.linspace(baked.least_kappa, baked.largest_kappa, len(baked.functions))
@@ -158,7 +158,7 @@ def test_the_powers_of_a_sine_add_up_to_what_bessel_functions_leave():
     inside = (np.abs(orders / 2.0) < baked.largest_q) & (orders != 0)
     for kappa in (1.0, 3.0):
         functions = np.array([np.interp(kappa, kappas, f) for f in baked.functions.T])
-        # A grating of one row has one order along y, at 0.
+        # A grating of one row has only order 0 along y.
         total = 4.0 * math.pi * 9.0 * float((baked.powers @ functions).sum()) * (2.0 * baked.largest_q / 256) ** 2
         argument = 2.0 * math.pi * kappa * 0.1
         assert total == pytest.approx(float(np.sum(jv(orders[inside], argument) ** 2)), rel=2e-3)
@@ -166,7 +166,7 @@ def test_the_powers_of_a_sine_add_up_to_what_bessel_functions_leave():
 
 
 @pytest.mark.parametrize("name", ["lobes", "spectrum"])
-def test_files_hold_all_of_it(name, request, tmp_path):
+def test_files_restore_all_fields(name, request, tmp_path):
     baked = request.getfixturevalue(name)
     path = baked.save(tmp_path / "a.npz")
     loaded = type(baked).load(path)
@@ -177,7 +177,7 @@ def test_files_hold_all_of_it(name, request, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["lobes", "spectrum"])
-def test_what_is_no_such_file_is_refused(name, request, tmp_path):
+def test_other_files_are_refused(name, request, tmp_path):
     baked = request.getfixturevalue(name)
     whole = baked.save(tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)
@@ -214,7 +214,7 @@ def test_files_with_other_arrays_are_refused(lobes, tmp_path):
             wd.BakedLobes.load(path)
 
 
-def test_bytes_err_by_half_a_step_of_their_own_largest():
+def test_quantisation_errors_are_half_a_step_of_the_largest_value():
     rng = np.random.default_rng(2)
     values = (rng.normal(size=(500, 3, 4)) * 10.0 ** rng.uniform(-7.0, 0.0, (500, 1, 1))).astype(np.float32)
     largest = np.abs(values).max(axis=2, keepdims=True)
@@ -223,8 +223,8 @@ def test_bytes_err_by_half_a_step_of_their_own_largest():
         assert np.all(np.abs(decoded - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
 
 
-def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
-    """A lobe of one wavelength is as narrow along its ray as across; colours smear it along, by a tenth of |(u, v)|."""
+def test_a_polar_grid_represents_lobes_of_its_design_width():
+    """The test lobes have the design width in azimuth. Radially, colours widen lobes to a tenth of |(u, v)|."""
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)
     angles, radii = np.array([0.3, 2.0, 4.4]), np.array([1.1, 0.5, 1.7])
@@ -240,7 +240,7 @@ def test_a_polar_grid_carries_lobes_that_are_as_wide_as_it_was_made_for():
     assert np.abs(interpolation.interpolated(grid, coefficients, uv) - lobes_at(uv)).max() < 0.02
 
 
-def test_what_cannot_be_baked_is_refused():
+def test_unsupported_arguments_of_bake_are_refused():
     sine = wd.gratings.sinusoidal(2.0, 0.1)
     with pytest.raises(ValueError, match="coherence must be of kind 'averaged'"):
         wd.bake_spectrum(sine, coherence=wd.Coherence("source"))

@@ -1,4 +1,4 @@
-"""Table of the endurance test: its counts and failures."""
+"""Table of the soak report: counts and failures."""
 
 from xml.etree import ElementTree as Xml
 
@@ -16,6 +16,6 @@ REPORT = """<testsuites><testsuite>
 
 
 def test_cases_and_failures_are_counted_by_rows():
-    rows = soak.rows(Xml.fromstring(REPORT).iter("testcase"))  # noqa: S314 (the text above)
+    rows = soak.rows(Xml.fromstring(REPORT).iter("testcase"))  # noqa: S314 (parses the text above)
     assert rows == {"files": soak.Row(1201, 1, 0), "forks": soak.Row(2, 1, 1)}
     assert soak.table(rows).splitlines()[2:] == ["| files | 1,201 | 1,200 | 1 |", "| forks | 2 (1 skipped) | 1 | 1 |"]

@@ -1,4 +1,4 @@
-"""The mutation run: its changes, its draw and its table; and that the headers' faults fit the headers."""
+"""Mutation testing: its changes to the code, random draws and tables, and faults of native headers."""
 
 import ast
 from collections import Counter
@@ -27,14 +27,14 @@ def nearest(values: "list[9]", *, axis=-1, **options: float) -> int:
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A checkout whose packages are one file each."""
+    """Return a checkout in which each package is a single file."""
     for folder in mutant_sites.PACKAGES.values():
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "one.py").write_text(SOURCE)
     return tmp_path
 
 
-def test_changes_are_of_code_alone(checkout):
+def test_changes_affect_only_code(checkout):
     changes = list(mutant_sites.mutants_of(checkout, "optics"))
     assert [(change.old, change.new) for change in changes] == [
         ("2", "3"), ("-", ""), ("1", "0"), ("is not", "is"), ("and", "or"), ("<", ">="), ("0.5", "0.55"), ("not", ""),
@@ -46,7 +46,7 @@ def test_changes_are_of_code_alone(checkout):
         ast.parse(change.apply(source))
 
 
-def test_a_draw_keeps_its_changes_where_lines_move_and_others_appear(checkout):
+def test_a_draw_is_stable_if_lines_move_or_are_added(checkout):
     before = mutant_sites.draw(checkout, "seed")[:10]
     for folder in mutant_sites.PACKAGES.values():
         path = checkout / folder / "one.py"
@@ -57,7 +57,7 @@ def test_a_draw_keeps_its_changes_where_lines_move_and_others_appear(checkout):
     assert [change.identity for change in before] != [c.identity for c in mutant_sites.draw(checkout, "else")[:10]]
 
 
-def test_a_draw_of_some_packages_is_the_part_of_theirs(checkout):
+def test_a_draw_of_some_packages_is_a_part_of_the_whole_draw(checkout):
     some = mutant_sites.draw(checkout, "seed", ["optics", "kernels"])
     assert some == [c for c in mutant_sites.draw(checkout, "seed") if c.package in {"optics", "kernels"}]
 
@@ -68,7 +68,7 @@ def test_each_header_has_two_faults():
     assert Counter(change.names for change in changes) == dict.fromkeys([(header,) for header in headers], 2)
 
 
-def test_scores_count_time_limits_as_detected_and_headers_apart():
+def test_scores_count_time_limits_as_detected_and_headers_separately():
     results = ["tests/optics/test_one.py::test_2", "timed out", "survived", "survived"]
     record = {"package": "optics", "place": "warpdiff/optics/one.py:1", "changed": "SIZE = 3 | 1"}
     header = record | {"package": "native", "result": "x"}

@@ -1,4 +1,4 @@
-"""Peers compute what they claim, or comparisons with them would be meaningless."""
+"""Peers (competing implementations of the benchmarks) must be correct, or comparisons with them are meaningless."""
 
 import numpy as np
 import pytest
@@ -15,21 +15,21 @@ FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True,
 
 
 def runs(peer):
-    """The peer, if it can run here."""
+    """Return the competing implementation (peer), or skip the test if it cannot run on this machine."""
     if reason := peer.available():
         pytest.skip(reason)
     return peer
 
 
 def called(heightfield, lights, views, coherence):
-    """Scattering vectors, gains and the reference."""
+    """Return scattering vectors, gains, and the colours of the reference."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 @pytest.mark.parametrize("name", SERIES)
-def test_the_published_algorithm_converges_to_the_truth(name, kind, rng):
+def test_the_published_algorithm_converges_to_the_reference(name, kind, rng):
     heightfield, window = wd.gratings.fingers(size_um=12.8, pitch_um=0.08), wd.Coherence(kind)
     shade = runs(SERIES[name]).prepare(heightfield, window, **FINE)
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), window)
@@ -39,7 +39,7 @@ def test_the_published_algorithm_converges_to_the_truth(name, kind, rng):
 
 @pytest.mark.parametrize("name", SERIES)
 def test_rounding_finds_the_nearest_coefficient_and_floor_does_not(name, rng):
-    # Alone, the nearest one is nearly all there is of a patch this small against the window.
+    # With a window much larger than the patch, the nearest coefficient contributes nearly all of the power.
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), wd.Coherence())
     errors = []
@@ -59,13 +59,15 @@ def test_dr_jit_and_numpy_compute_the_same_at_the_published_setting(rng):
     np.testing.assert_allclose(first, second, atol=1e-4 * np.percentile(first, 99.0), rtol=1e-3)
 
 
-def test_lines_of_a_grating_have_the_true_colours():
-    # Across a regular grating there is nothing but lines, each 7 nm wide at the first order, which no delta knows.
+def test_lines_of_a_grating_have_the_colours_of_the_reference():
+    # A regular grating has only narrow lines, 7 nm wide in the first order. The analytic model treats them as
+    # infinitely
+    # narrow.
     heightfield, period = wd.gratings.lamellar(1.6, 0.126, duty=0.3), 1.6
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="cie")
     angle = np.radians(np.linspace(-80.0, 80.0, 161))
     views = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    # Every other light is half a lobe off the plane.
+    # Every second light is half a lobe away from the plane of incidence.
     aside = 0.004 * (np.arange(161) % 2)
     lights = np.stack([np.full(161, 0.3), aside, np.sqrt(1.0 - 0.09 - aside**2)], axis=1)
     scattering_vectors, gains, exact = called(heightfield, lights, views, wd.Coherence())
@@ -80,11 +82,11 @@ def test_lines_of_a_grating_have_the_true_colours():
     assert np.median(away[clear] / np.linalg.norm(exact[clear], axis=1)) < 1e-2
 
 
-def test_the_rainbow_is_the_chapters():
+def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # Lines at 0.75 and at 0.375 µm, of which the second is below what it takes for light: green alone, at any v.
+    # Lines are at 0.75 and 0.375 µm. The model ignores the line at 0.375 µm, so only green remains.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

@@ -1,4 +1,4 @@
-"""The reference that judges pictures equals the direct sum, which judges points, in every regime."""
+"""The reference for pictures equals the direct sum, which is the reference for points, in every regime."""
 
 from types import SimpleNamespace
 
@@ -13,7 +13,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-DIRECTIONS = 48  # times five wavelengths: more than 200 points of every regime
+DIRECTIONS = 48  # number of directions; with five wavelengths there are more than 200 points per regime
 
 
 def rough():
@@ -24,7 +24,7 @@ def fingers():
     return gratings.fingers(size_um=3.6, pitch_um=0.09, seed=4)
 
 
-# Shapes, and what sets the window, the source and the copies of each.
+# Height field, window in µm, source diameter in degrees and numbers of periods of each regime.
 REGIMES = {
     "sinusoidal": (lambda: gratings.sinusoidal(1.6, 0.4), 16.25, 0.53, (1, 12)),
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
@@ -37,7 +37,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
-    """ρ by the direct sum, with the reference's own gain."""
+    """Return ρ by the direct sum, with the gain of the reference."""
     gains = reference.gain(lights, views, source=coherence.kind == "source")
     power = direct_sum.window_power(heightfield, coherence, -lights - views, wavelengths, to_lights=lights)
     return gains[:, None] * power
@@ -48,9 +48,10 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # Incidence to 85°, where the cosine is 0.087.
+    # The angles of incidence reach 85°, where the cosine is 0.087.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
-    # A third near the mirror direction, a third near an order: random directions fall between sharp ones.
+    # A third of the views is near the mirror direction and a third near an order, because random views miss narrow
+    # orders.
     third = DIRECTIONS // 3
     views[:third] = views[:third] * 0.01 + lights[:third] * np.array([-1.0, -1.0, 1.0])
     near = slice(third, 2 * third)
@@ -70,7 +71,7 @@ def test_spectra_equal_the_direct_sum(name, kind, rng):
 
 
 def integral(heightfield, lights, views, coherence, points=3):
-    """XYZ from the direct sum at Gauss's points in cells of 1 nm, between which the products are linear."""
+    """Return XYZ of the direct sum, by Gauss quadrature in cells of 1 nm, in which the colour products are linear."""
     at, share = np.polynomial.legendre.leggauss(points)
     nodes = (np.arange(380, 780)[:, None] + 0.5 + at / 2.0).ravel()
     weights = np.tile(share / 2.0, 400)
@@ -92,7 +93,7 @@ def test_colours_equal_the_direct_sum(kind, rng):
 
 
 def resonances(heightfield, lights, views, periods):
-    """XYZ of many copies along x: each order a line of weight 1/N in u L/λ, on what is left between the lines."""
+    """Return XYZ of many periods along x: each order is a line of weight 1/N in u L/λ, without light in between."""
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]
     for i, (light, view) in enumerate(zip(lights, views, strict=True)):
@@ -103,13 +104,13 @@ def resonances(heightfield, lights, views, periods):
                 at = np.array([wavelength])
                 illuminated = direct_reflectance(heightfield, light[None], view[None], at, periods)[0, 0]
                 curve = [np.interp(1e3 * wavelength, np.arange(380, 781), table[:, c]) for c in range(3)]
-                # dλ over a turn, in nm.
+                # Width dλ in nm of one period of the phase u L/λ.
                 result[i] += illuminated * np.array(curve) * 1e3 * wavelength**2 / (u * length) / periods.periods[1]
     return result
 
 
-def test_lines_of_many_copies(rng):
-    """No line is so narrow that the first cells miss it: thousands of copies against their sharp limit."""
+def test_narrow_lines_of_many_periods(rng):
+    """Even narrow lines contribute to the reference: results for thousands of periods equal their limit."""
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))
     errors = []
@@ -127,8 +128,8 @@ def test_lines_of_many_copies(rng):
 
 
 @pytest.mark.parametrize("kind", ["source", "replicas"])
-def test_a_closer_tolerance_changes_nothing(kind, rng):
-    """Nothing narrow is missed at first: what settles at 1e-2 is right to that, towards grazing light too."""
+def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rng):
+    """Narrow orders must not be missed: results that converged at 0.01 are accurate to 0.01, also near grazing."""
     heightfield = fingers()
     lights, views = hemisphere(rng, 24, lowest=0.05), hemisphere(rng, 24)
     views[:4] = lights[:4] * [-1.0, -1.0, 1.0]

@@ -1,4 +1,4 @@
-"""The suite of charts: comparisons, refusals and files. Its measurements are not tested."""
+"""The suite of benchmark charts: comparisons, refusals and files. Measurements of the suite are not tested."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from bench.truth import reference
 
 
 def results(path, **figures):
-    """A file of results with figures of (value, least, most)."""
+    """Write a file of benchmark results, with (value, least, most) for each figure."""
     path.write_text(json.dumps({"figures": {name: [*values, "s"] for name, values in figures.items()}}))
     return path
 
@@ -58,7 +58,7 @@ def test_unknown_parts_are_refused(tmp_path):
 def test_an_unwritable_folder_is_refused_before_measuring(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner.importlib.util, "find_spec", lambda _name: True)
     monkeypatch.chdir(tmp_path)
-    # Nothing is denied to root.
+    # The root user may write to any folder, so the check of permissions is replaced.
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert command.main(["--filter", "pareto"]) == 2
     assert "is not writable; use another one" in capsys.readouterr().err
@@ -93,7 +93,7 @@ def test_a_subset_of_directions_is_spread_over_all():
 
 @pytest.fixture(scope="module")
 def fingers(tmp_path_factory):
-    """The scene of synthetic fingers, as where there is no scan."""
+    """Return the benchmark scene with synthetic fingers, which replaces the missing scan."""
     empty = tmp_path_factory.mktemp("empty")
     assert inputs.scan(empty) is None
     (result,) = [scene for scene in scenes(empty) if scene.name == "fingers"]
@@ -101,7 +101,7 @@ def fingers(tmp_path_factory):
 
 
 def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
-    """Their gains and colours are those of the picture that the preview shows."""
+    """The gains and colours of a charted scene are those of its preview picture."""
     assert [coherence.kind for coherence in fingers.coherences] == ["averaged", "centred", "source"]
     window = fingers.coherences[0]
     directions, illuminated = fingers.directions(window, width=48)
@@ -118,8 +118,8 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
     assert np.max(error) < 2e-2
 
 
-def test_a_users_method_is_a_peer():
-    """It is called by its own name, without settings."""
+def test_a_method_of_the_user_is_a_peer():
+    """A benchmark method supplied by the user is called by its own name and without settings."""
     from bench.peers import numpy_peer
     from bench.suite import pareto
 

@@ -1,4 +1,4 @@
-"""The period of a blazed grating from where its first order is brightest."""
+"""The period of a blazed grating, computed from the wavelength at which its first order is brightest."""
 
 import numpy as np
 import pytest
@@ -14,6 +14,6 @@ def test_the_blazed_grating_has_a_period_of_2500_nm(coherence):
     assert np.abs(periods - 2500.0).max() < 1.0
 
 
-def test_the_grating_equation_gives_the_view_angles_back():
+def test_the_grating_equation_reproduces_the_view_angles():
     angles = thesis.view_angles(2000.0, 1000.0, 3, np.array(500.0))
     assert thesis.periods_at(angles, np.array(500.0)) == pytest.approx([2000.0, 1500.0, 1000.0])

@@ -1,4 +1,4 @@
-"""Pages for contributors: what they tell you to write works as printed."""
+"""Pages for contributors: the code on these pages works as printed."""
 
 import importlib.util
 import re
@@ -17,7 +17,7 @@ FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
 
 @pytest.fixture
 def module_of(tmp_path, monkeypatch):
-    """Import the Python block of a page as a module; Warp reads the source of kernels from its file."""
+    """Return a function that imports the Python block of a page from a temporary file, as Warp requires."""
 
     def load(page):
         (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -32,8 +32,8 @@ def module_of(tmp_path, monkeypatch):
     return load
 
 
-def test_a_light(module_of, fingers):
-    """Where the axis points at the body the spotlight shines, and where it points away nothing does."""
+def test_the_page_about_lights(module_of, fingers):
+    """The spotlight illuminates the body if its axis points at the body, and not if it points away."""
     page = module_of("add_a_light")
     body = wd.meshes.tube(segments_along=12, segments_around=12)
     view = wd.View.fit(body, width=24, height=18)
@@ -49,7 +49,7 @@ def test_a_light(module_of, fingers):
     assert away.xyz.max() == 0.0
 
 
-def test_a_reader(module_of, tmp_path, monkeypatch):
+def test_the_page_about_readers(module_of, tmp_path, monkeypatch):
     monkeypatch.setattr(readers, "_readers", dict(readers._readers))
     module_of("add_a_reader")
     (tmp_path / "scan.foo").write_text("0.25\n0 100 200\n50 150 250\n")
@@ -58,14 +58,14 @@ def test_a_reader(module_of, tmp_path, monkeypatch):
     assert scan.pitch_um == (0.25, 0.25)
 
 
-def test_an_option(module_of, capsys):
+def test_the_page_about_options(module_of, capsys):
     page = module_of("add_an_option")
     assert capsys.readouterr().out == "Strength of the sparkle, relative to the surface. at least 0 and at most 2 0.5\n"
     with pytest.raises(ValueError, match=r"^sparkle must be a finite number, at least 0 and at most 2, got 3\.0$"):
         page.ProbeSettings(sparkle=3.0)
 
 
-def test_an_expansion(module_of, monkeypatch):
+def test_the_page_about_expansions(module_of, monkeypatch):
     monkeypatch.setattr("warpdiff.diffraction.phase_series.EXPANSIONS", dict(EXPANSIONS))
     page = module_of("add_an_expansion")
     expansion = page.EXPANSIONS["probe"]

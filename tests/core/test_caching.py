@@ -1,11 +1,11 @@
-"""The LRU cache: what was used longest ago goes first, and threads get what came first."""
+"""LRU cache: the least recently used value is removed first, and concurrent threads get the first value made."""
 
 import threading
 
 from warpdiff.core.caching import LruCache
 
 
-def test_the_least_recently_used_one_goes_first():
+def test_the_least_recently_used_value_is_removed_first():
     cache = LruCache(2)
     assert [cache.get_or_make(key, lambda key=key: key.upper()) for key in "ab"] == ["A", "B"]
     assert cache.get("a") == "A"
@@ -16,7 +16,7 @@ def test_the_least_recently_used_one_goes_first():
     assert len(cache) == 0
 
 
-def test_bytes_are_bounded_but_for_the_last_one():
+def test_bytes_are_limited_except_for_the_last_value():
     cache = LruCache(most_bytes=10.0, bytes_of=len)
     cache.put("a", "four")
     cache.put("b", "six..6")
@@ -28,8 +28,8 @@ def test_bytes_are_bounded_but_for_the_last_one():
     assert len(cache) == 1
 
 
-def test_a_key_stays_the_one_that_was_put():
-    """Another that was equal when it was looked up may change."""
+def test_a_lookup_does_not_replace_the_stored_key():
+    """The cache must store the first key, because an equal key used for a look-up may change later."""
     cache, first, equal = LruCache(2), Frozen(1), Frozen(1)
     cache.put(first, "value")
     assert cache.get(equal) == "value"
@@ -39,7 +39,7 @@ def test_a_key_stays_the_one_that_was_put():
 
 
 class Frozen:
-    """A key that is not, compared by its number."""
+    """Test key that is mutable, contrary to its name, and compared by its number."""
 
     def __init__(self, number):
         self.number = number

@@ -1,4 +1,4 @@
-"""Disk cache: equal to the bit, under a limit, and pictures do not depend on it."""
+"""Disk cache: exact contents, size limit, damaged files, and pictures that do not depend on the cache."""
 
 import io
 import os
@@ -18,7 +18,7 @@ HEIGHTS = np.arange(12.0).reshape(3, 4)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder for it, and everything worth keeping."""
+    """Use a temporary cache folder, and cache all results, even those that are computed quickly."""
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
     return tmp_path / "cache"
@@ -34,7 +34,7 @@ def counted(value):
     return calls, make
 
 
-def test_what_is_kept_is_found_again(folder):
+def test_stored_arrays_are_read_again(folder):
     calls, make = counted(1.0)
     first = disk_cache.cached_on_disk("key", HEIGHTS, make)
     again = disk_cache.cached_on_disk("key", HEIGHTS, make)
@@ -46,7 +46,7 @@ def test_what_is_kept_is_found_again(folder):
 
 
 @pytest.mark.parametrize(("key", "heights"), [("other", HEIGHTS), ("key", HEIGHTS + 1.0), ("key", HEIGHTS.T)])
-def test_another_question_has_another_answer(folder, key, heights):
+def test_other_keys_and_heights_have_their_own_files(folder, key, heights):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
     assert disk_cache.cached_on_disk(key, heights, counted(2.0)[1])["rows"][0, 0] == 2.0
     assert len(list(folder.iterdir())) == 2
@@ -54,7 +54,7 @@ def test_another_question_has_another_answer(folder, key, heights):
 
 @pytest.mark.usefixtures("folder")
 def test_arrays_of_other_code_are_not_read(tmp_path, monkeypatch):
-    """Coefficients that another release wrote, or this one before a change, have another key."""
+    """Cache files of another release, or written before a change of the code, must not be read."""
     digests = []
     for text in ("ORDER = 1", "ORDER = 2", "ORDER = 2"):
         (tmp_path / "series.py").write_text(text)
@@ -73,14 +73,14 @@ def archive(**arrays):
 
 
 def damaged(whole, rng):
-    """Mutations of a file: other contents, cut off, bytes changed."""
+    """Yield damaged versions of a file: other contents, truncated files and changed bytes."""
     sound = archive(rows=np.ones((2, 3), np.float32), step=0.25)
     yield from (b"", b"PK\x03\x04 no archive", bytes(4096), sound)
     yield archive(rows=np.ones((2, 3), np.float32))
     yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
     yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
     for at in range(8, 40, 2):
-        # The version of the archive, the flag of encryption, the compression, in either of the headers.
+        # The changed bytes contain the version of the archive, its encryption flag and its compression.
         for header in (b"PK\x03\x04", b"PK\x01\x02"):
             for start in (0, whole.index(b"PK")):
                 content = bytearray(whole[start:])
@@ -94,7 +94,7 @@ def damaged(whole, rng):
 
 
 @pytest.mark.permanent(ROW, shares=10)
-def test_a_damaged_file_is_made_anew(folder, rng, tries):
+def test_a_damaged_file_is_replaced(folder, rng, tries):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
     path = next(folder.iterdir())
     whole = path.read_bytes()
@@ -107,13 +107,13 @@ def test_a_damaged_file_is_made_anew(folder, rng, tries):
             arrays = disk_cache.cached_on_disk("key", HEIGHTS, make)
             np.testing.assert_array_equal(arrays["rows"], np.ones((2, 3), np.float32))
             assert arrays["step"] == 0.25
-        # Once, and then it is whole again.
+        # After damage the result is computed once, and the cache file is then valid again.
         assert len(calls) == 1
         assert path.read_bytes() == whole
 
 
 @pytest.mark.permanent(ROW)
-def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
+def test_a_folder_instead_of_a_cache_file_is_ignored(folder):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
     path = next(folder.iterdir())
     path.unlink()
@@ -122,7 +122,7 @@ def test_a_folder_in_place_of_a_file_is_in_nobodys_way(folder):
 
 
 @pytest.mark.permanent(ROW)
-def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
+def test_old_temporary_files_of_killed_processes_are_removed(folder, tries):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
     kill = "import os, signal; from pathlib import Path; from warpdiff.core.files import atomic_write\n"
     kill += f"with atomic_write(Path({str(folder)!r}, 'a'), suffix='.part'): os.kill(os.getpid(), signal.SIGKILL)"
@@ -135,13 +135,13 @@ def test_what_killed_processes_leave_is_swept_once_it_is_old(folder, tries):
         os.utime(file, (1e9, 1e9))
     disk_cache.cached_on_disk("other", HEIGHTS, counted(1.0)[1])
     assert not old.exists()
-    # Another process may be writing it; and what is not ours is not looked at.
+    # Young temporary files are kept, because another process may still be writing them. Other programs' files are kept.
     assert young.exists()
     assert (folder / "mine.part").exists()
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_folder_that_can_only_be_read_is_of_use(monkeypatch):
+def test_a_read_only_cache_folder_is_used(monkeypatch):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
 
     def denied(*_args):
@@ -153,7 +153,7 @@ def test_a_folder_that_can_only_be_read_is_of_use(monkeypatch):
     assert not calls
 
 
-def test_a_user_without_a_home_keeps_nothing(monkeypatch):
+def test_without_a_home_folder_nothing_is_cached(monkeypatch):
     def none():
         raise RuntimeError("Could not determine home directory.")
 
@@ -164,7 +164,7 @@ def test_a_user_without_a_home_keeps_nothing(monkeypatch):
     assert disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])["step"] == 0.25
 
 
-def test_the_oldest_go_where_it_is_full(folder, monkeypatch):
+def test_the_oldest_files_are_removed_from_a_full_cache(folder, monkeypatch):
     monkeypatch.setattr(disk_cache, "MOST_BYTES", 1600)
     for index in range(5):
         disk_cache.cached_on_disk(index, HEIGHTS, counted(float(index))[1])
@@ -177,7 +177,7 @@ def test_the_oldest_go_where_it_is_full(folder, monkeypatch):
     assert len(calls) == 1
 
 
-def test_it_can_be_turned_off_and_may_fail(tmp_path, monkeypatch):
+def test_the_cache_can_be_disabled_and_its_errors_are_ignored(tmp_path, monkeypatch):
     monkeypatch.setattr(disk_cache, "_LEAST_SECONDS", 0.0)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
     monkeypatch.chdir(tmp_path)
@@ -190,14 +190,14 @@ def test_it_can_be_turned_off_and_may_fail(tmp_path, monkeypatch):
     assert blocked.read_text() == "not a folder"
 
 
-def test_what_is_fast_is_not_kept(tmp_path, monkeypatch):
+def test_results_that_are_computed_quickly_are_not_cached(tmp_path, monkeypatch):
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])
     assert not (tmp_path / "cache").exists()
 
 
 @pytest.mark.permanent(ROW)
-def test_pictures_are_the_same_with_it(folder):
+def test_pictures_do_not_depend_on_the_cache(folder):
     lights = np.array([[0.1, 0.2, 0.97]])
     views = np.array([[-0.3, 0.1, 0.95]])
     grating = wd.gratings.fingers(size_um=6.4, seed=3)

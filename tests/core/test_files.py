@@ -1,4 +1,4 @@
-"""Files: errors that name the file, and the argument by the word of each front end."""
+"""Error messages of file operations: they name the file, and the argument as each front end spells it."""
 
 import copy
 

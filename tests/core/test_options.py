@@ -1,9 +1,9 @@
-"""Descriptions of options: what an annotation and a docstring state, and the values that they accept."""
+"""Descriptions of options, from annotations and docstrings, and the values that options accept."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection  # noqa: TC003 (fields are described at run time)
+from collections.abc import Collection  # noqa: TC003 (evaluated when fields are described)
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -25,7 +25,7 @@ Spelling = Literal["normalised", "normalized", "plain"]
 
 @dataclass(frozen=True, kw_only=True)
 class Base(Checked):
-    """Options that another group shares.
+    """Options shared by groups of options, as test data.
 
     Attributes:
         tolerance: Error that is accepted.
@@ -38,7 +38,7 @@ class Base(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(Base):
-    """A group of options.
+    """Group with one option of each kind, as test data.
 
     Attributes:
         length_um: Length of the window

@@ -1,11 +1,11 @@
-"""Progress: the caller's function, a bar that appears only for long work, or nothing."""
+"""Progress reports: the caller's function, a progress bar for long work only, or none."""
 
 import pytest
 
 from warpdiff.core import progress
 
 
-def test_a_function_is_called_itself_and_none_is_none():
+def test_a_function_is_used_unchanged_and_none_means_no_report():
     shares = []
     assert progress.reporter(shares.append, "shade()") == shares.append
     assert progress.reporter(None, "shade()") is None
@@ -15,7 +15,7 @@ def test_a_function_is_called_itself_and_none_is_none():
 
 
 @pytest.mark.parametrize("delay", [0.0, 60.0])
-def test_a_bar_appears_for_long_work_alone(delay, monkeypatch, capsys):
+def test_a_bar_appears_only_for_long_work(delay, monkeypatch, capsys):
     monkeypatch.setattr(progress, "_DELAY_S", delay)
     report = progress.reporter(True, "shade()")
     for share in (0.25, 0.5, 1.0):

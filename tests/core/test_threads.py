@@ -1,4 +1,4 @@
-"""Parallel loops: every item once, and errors. Linear algebra: one thread within the context, all of them after it."""
+"""Parallel loops process every item once and raise errors. Linear algebra uses one thread within its context."""
 
 import threading
 import time
@@ -17,14 +17,14 @@ THREADS = (1, 2, 5)
 
 @pytest.mark.parametrize("threads", THREADS)
 @pytest.mark.parametrize("count", [0, 1, 2, 40])
-def test_every_item_is_worked_on_once(threads, count):
+def test_every_item_is_processed_once(threads, count):
     done = []
     parallel_for(done.append, range(count), threads=threads)
     assert sorted(done) == list(range(count))
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads):
+def test_an_error_is_raised_after_all_threads_have_stopped(threads):
     at_work = []
 
     def work(index):
@@ -40,7 +40,7 @@ def test_an_error_is_raised_once_nothing_is_at_work_any_more(threads):
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_an_error_ends_work(threads):
+def test_after_an_error_no_further_items_are_processed(threads):
     done = []
 
     def work(index):
@@ -54,8 +54,8 @@ def test_an_error_ends_work(threads):
     assert len(done) < 20
 
 
-def test_work_within_work_needs_no_free_thread():
-    """All threads that stay may wait for the one that begins more work."""
+def test_nested_loops_need_no_free_thread():
+    """All other threads of the pool may be waiting for the thread that starts the nested loop."""
     done = []
 
     def work(_):
@@ -82,7 +82,7 @@ def test_progress_is_reported_by_one_thread_at_a_time_which_may_start_work(threa
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_progress_that_fails_ends_work(threads):
+def test_an_error_in_the_progress_function_ends_the_loop(threads):
     done = []
 
     def fail(_):
@@ -100,8 +100,8 @@ def test_progress_that_fails_ends_work(threads):
 
 
 @pytest.mark.parametrize("threads", [2, 31])
-def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
-    """As in an address space in which there is no room for another stack."""
+def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
+    """Starting a thread can fail, for example if the address space has no room for another stack."""
 
     def fail(_):
         raise RuntimeError("can't start new thread")
@@ -115,8 +115,8 @@ def test_threads_that_do_not_begin_are_done_without(threads, monkeypatch):
 
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant")
-def test_threads_do_not_pile_up(tries):
-    """Whatever numbers of them were asked for."""
+def test_threads_do_not_accumulate(tries):
+    """The number of idle threads is limited, whatever numbers of threads were requested."""
     before = threading.active_count()
     tries.number = 39
     for threads in range(1, 40):
@@ -128,7 +128,7 @@ def test_threads_do_not_pile_up(tries):
 
 
 def blas_threads():
-    """Numbers of threads of the libraries that are loaded."""
+    """Return the numbers of threads of the linear-algebra libraries that are loaded."""
     return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 
 
@@ -136,12 +136,12 @@ def blas_threads():
 def two_threads():
     with threadpool_limits(limits=2, user_api="blas"):
         if 2 not in blas_threads():
-            pytest.skip("NumPy's library has no threads here")
+            pytest.skip("the linear-algebra library of NumPy has no threads")
         yield
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_one_thread_within_and_all_of_them_afterwards():
+def test_one_thread_within_the_context_and_all_threads_after_it():
     before = blas_threads()
     with single_threaded_blas():
         assert set(blas_threads()) == {1}
@@ -152,7 +152,7 @@ def test_one_thread_within_and_all_of_them_afterwards():
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_calls_from_two_threads_leave_it_as_it_was():
+def test_overlapping_contexts_of_two_threads_restore_the_number_of_threads():
     before, entered, leave = blas_threads(), threading.Event(), threading.Event()
 
     @single_threaded_blas()
@@ -164,7 +164,7 @@ def test_calls_from_two_threads_leave_it_as_it_was():
     with single_threaded_blas():
         other.start()
         entered.wait(60.0)
-    # Who is still within would have its sums shared out otherwise, and forks wait for these for ever.
+    # Another thread is still within its context, so linear algebra must stay on one thread.
     assert set(blas_threads()) == {1}
     leave.set()
     other.join()
@@ -182,13 +182,13 @@ def test_plans_are_made_on_one_thread(monkeypatch):
 
 
 def taken_by_others(work):
-    """Share of a call's CPU time that other threads took."""
+    """Return the CPU time of other threads during a call, relative to that of the calling thread."""
     work()
 
     def of_others():
         return time.process_time() - time.thread_time()
 
-    # Threads of the library spin for a while after a call.
+    # Threads of the linear-algebra library stay active for a short time after each call.
     while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
         pass
     before, begin = of_others(), time.thread_time()
@@ -199,8 +199,8 @@ def taken_by_others(work):
 @pytest.mark.usefixtures("two_threads")
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
-def test_what_takes_large_matrices_is_not_shared_out(what, rng):
-    """A fork meanwhile would wait for ever, in the parent or in the child."""
+def test_large_matrices_are_processed_by_one_thread(what, rng):
+    """If the library's threads were active, a fork could wait forever, in the parent or in the child."""
     rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
     coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
     tube = wd.meshes.tube(segments_along=300, segments_around=300)

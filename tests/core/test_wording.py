@@ -1,4 +1,4 @@
-"""Messages that mark the names of arguments: each front end writes its own word, and nobody else's text changes."""
+"""Messages with marked argument names: each front end inserts its own names, and other text stays unchanged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def flag(name, value):
     return f"--{name}" if value is None else f"--{name} {value}"
 
 
-def test_each_front_end_writes_its_own_word():
+def test_each_front_end_writes_its_own_argument_names():
     error = ArgumentValueError(MESSAGE)
     assert str(error) == "sigma_um is for kind='source': set refine=False, or use filled()"
     assert spelled(error) == str(error)
@@ -44,10 +44,10 @@ def test_each_front_end_writes_its_own_word():
         (WarpdiffWarning, UserWarning),
     ],
 )
-def test_errors_and_warnings_keep_their_marks_in_other_processes(kind, base):
+def test_marks_of_errors_and_warnings_survive_pickling(kind, base):
     error = kind(MESSAGE)
     assert isinstance(error, base)
-    for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):  # noqa: S301 (its own bytes)
+    for same in (pickle.loads(pickle.dumps(error)), copy.copy(error)):  # noqa: S301 (pickled in this line)
         assert type(same) is kind
         assert str(same) == str(error)
         assert spelled(same, flag) == spelled(error, flag)

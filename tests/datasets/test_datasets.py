@@ -1,4 +1,4 @@
-"""Data sets: a server on this machine stands in for the network."""
+"""Data sets: downloads from a local server, which replaces the network."""
 
 import dataclasses
 import functools
@@ -19,7 +19,7 @@ NAME = "corn_snake_scan"
 
 
 class Server(http.server.ThreadingHTTPServer):
-    """Serves a folder and counts the requests."""
+    """Local server that serves a folder and counts the requests."""
 
     requests = 0
 
@@ -39,11 +39,11 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def published(rng, tmp_path, monkeypatch):
-    """A small scan on a server, in place of the real one: samples and server."""
+    """Publish a small scan on a local server; return its samples, the server and the file."""
     folder = tmp_path / "server"
     folder.mkdir()
     samples = rng.integers(0, 256, (40, 40), dtype=np.uint8)
-    # All colour channels have the heights, as in the published file; alpha is opaque.
+    # As in the published file, all colour channels contain the heights, and alpha is opaque.
     write_image(folder / "scan.png", np.dstack([samples] * 3 + [np.full_like(samples, 255)]))
     server = Server(folder)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
@@ -74,7 +74,7 @@ def check(heightfield, samples):
 
 
 @pytest.mark.usefixtures("pooch")
-def test_a_download_is_kept(published):
+def test_a_download_is_cached(published):
     for _ in range(2):
         check(wd.datasets.fetch(NAME), published.samples)
     assert published.server.requests == 1
@@ -90,7 +90,7 @@ def test_a_damaged_download_is_replaced(published, tmp_path):
 
 
 @pytest.mark.usefixtures("pooch")
-def test_without_a_cache_nothing_is_kept(published, tmp_path, monkeypatch):
+def test_without_a_cache_folder_nothing_is_stored(published, tmp_path, monkeypatch):
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
     monkeypatch.setattr(download.tempfile, "tempdir", str(tmp_path / "server"))
     check(wd.datasets.fetch(NAME), published.samples)
@@ -100,10 +100,10 @@ def test_without_a_cache_nothing_is_kept(published, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("pooch")
 @pytest.mark.parametrize("fault", ["offline", "absent", "other"])
-def test_a_failed_download_says_what_to_do(fault, published, tmp_path, monkeypatch):
+def test_the_error_of_a_failed_download_names_the_remedy(fault, published, tmp_path, monkeypatch):
     dataset = wd.datasets.info(NAME)
     if fault == "offline":
-        dataset = dataclasses.replace(dataset, address="http://127.0.0.1:9/scan.png")  # nothing listens there
+        dataset = dataclasses.replace(dataset, address="http://127.0.0.1:9/scan.png")  # no server uses this port
         monkeypatch.setitem(registry._DATASETS, NAME, dataset)
     elif fault == "absent":
         published.file.unlink()
@@ -176,7 +176,7 @@ def test_unknown_names_are_refused(name):
             function(name)
 
 
-def test_the_real_scan_is_as_load_reads_it(scan_path, monkeypatch):
+def test_the_real_scan_equals_the_result_of_load(scan_path, monkeypatch):
     monkeypatch.setenv("WARPDIFF_DATA", str(scan_path.parent))
     fetched = wd.datasets.fetch(NAME)
     loaded = wd.HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375)

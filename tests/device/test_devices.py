@@ -1,4 +1,4 @@
-"""Devices: what Warp writes when it starts."""
+"""Devices: the messages that Warp prints when it starts."""
 
 import os
 import subprocess
@@ -18,12 +18,12 @@ devices.resolve_device(None)
 CLOSED = "import os; from warpdiff.device import devices; os.close(2); devices.resolve_device(None); print('done')"
 
 
-@pytest.mark.skipif(os.name != "posix", reason="numbers of streams are POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="file descriptors require POSIX")
 @pytest.mark.parametrize(
     ("code", "errors", "output"),
     [(CODE, "before\na line\nanother line\nafter\n", ""), (CLOSED, "", "done\n")],
     ids=["open", "closed"],
 )
-def test_warps_warning_of_the_driver_is_kept_back_and_other_lines_are_not(code, errors, output):
+def test_only_warps_warning_about_the_driver_is_suppressed(code, errors, output):
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (result.stderr, result.stdout) == (errors, output)

@@ -1,4 +1,4 @@
-"""Kernel calls on the CPU: every element goes through all kernels once, whatever the slices and threads."""
+"""Kernel calls on the CPU: every element passes through all kernels once, for any slices and threads."""
 
 import gc
 import sys
@@ -16,11 +16,11 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
-# With other flags Warp's headers would be precompiled once more.
+# The compile options equal those of the package, so that Warp's headers are not precompiled again.
 wp.set_module_options(compile_options.options())
 
 
-def test_progress_is_told_of_nothing():
+def test_progress_is_complete_for_an_empty_pipeline():
     shares = []
     launch_pipeline([], 0, device=resolve_device("cpu"), threads=2, progress=shares.append)
     assert shares == [1.0]
@@ -39,7 +39,7 @@ def double(values: wp.array(dtype=wp.int32), first: wp.int32):
 
 @pytest.mark.parametrize("threads", THREADS)
 @pytest.mark.parametrize("size", [0, 1, 1000, 100_003])
-def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
+def test_every_element_passes_through_all_kernels_in_order(threads, size):
     device = resolve_device("cpu")
     values = wp.array(np.arange(size), dtype=wp.int32, device=device)
     steps = [KernelCall(add_in_runs, [values], [], in_runs=True), KernelCall(double, [values], [])]
@@ -53,7 +53,7 @@ def test_slices_take_every_element_through_all_kernels_in_turn(threads, size):
     np.testing.assert_array_equal(values.numpy(), expected)
 
 
-def test_blocks_are_whole_but_for_the_last():
+def test_all_blocks_except_the_last_are_complete():
     device = resolve_device("cpu")
     blocks, values = wp.zeros(3, dtype=wp.int32, device=device), wp.ones(13, dtype=wp.int32, device=device)
     steps = [KernelCall(add_in_runs, [blocks], [], in_runs=True, block=5), KernelCall(double, [values], [])]
@@ -62,7 +62,7 @@ def test_blocks_are_whole_but_for_the_last():
     np.testing.assert_array_equal(values.numpy(), 2)
 
 
-def test_threads_launch_one_chain_over_elements_of_their_own():
+def test_threads_launch_one_pipeline_over_separate_elements():
     values = wp.zeros(64, dtype=wp.int32, device="cpu")
     chain = Pipeline([KernelCall(add_in_runs, [values], [], in_runs=True), KernelCall(double, [values], [])])
     both = threading.Barrier(2)
@@ -118,7 +118,7 @@ def count_marks(values: wp.array(dtype=wp.int64), first: wp.int32):
 
 
 def test_threads_may_be_the_first_to_launch_a_kernel():
-    """All of them ask at once how it is called."""
+    """All threads launch the kernel for the first time simultaneously."""
     values = wp.zeros(4, dtype=wp.int64, device="cpu")
     together = threading.Barrier(4)
 
@@ -137,7 +137,7 @@ def test_threads_may_be_the_first_to_launch_a_kernel():
     np.testing.assert_array_equal(values.numpy(), 100)
 
 
-def test_what_was_launched_may_go():
+def test_launched_arrays_can_be_deleted():
     values = wp.zeros(4, dtype=wp.int32, device="cpu")
     reference = weakref.ref(values)
     launch(triple, 4, [values], [], device=resolve_device("cpu"), threads=1)

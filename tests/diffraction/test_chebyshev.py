@@ -1,4 +1,4 @@
-"""Chebyshev interpolation reproduces polynomials, and values at its nodes."""
+"""Chebyshev interpolation reproduces polynomials and the values at its nodes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Bases of Fourier coefficients against transforms of exp(2πiκh), and their truncation errors."""
+"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """The table's basis by the kernels' cubic."""
+    """Return the basis functions at κ, interpolated by the same cubic as in the kernels."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
@@ -46,7 +46,7 @@ def basis_at(coefficients, kappas):
 
 
 def transforms(heightfield, block, kappas):
-    """H_rs(−κ) of centred heights, shape (κ, my, mx)."""
+    """Return H_rs(−κ) of heights centred at zero, shape (κ, my, mx)."""
     h = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     s, r = block.orders()
     return np.stack([np.fft.ifft2(np.exp(-2j * np.pi * k * h))[np.ix_(s, r)] for k in kappas])
@@ -58,7 +58,7 @@ def transforms(heightfield, block, kappas):
     ("method", "adds_powers"),
     [("low-rank", True), ("low-rank", False), ("power", True), ("jacobi-anger", False)],
 )
-def test_rows_times_basis_are_the_coefficients(method, adds_powers, height_range_um, kappas):
+def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_range_um, kappas):
     heightfield = surface(height_range_um)
     coefficients, block = build(heightfield, method, kappas, adds_powers=adds_powers, terms=70)
     at = np.linspace(*kappas, 23)
@@ -68,7 +68,7 @@ def test_rows_times_basis_are_the_coefficients(method, adds_powers, height_range
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The mirror's coefficient is 1, and a basis of powers loses two digits of it (``_SMALL_KAPPA``).
+    # The coefficient of the mirror direction is 1. A basis of powers loses two digits there (``_SMALL_KAPPA``).
     largest = np.abs(exact).max(axis=0)
     assert np.abs(values - exact).max() < (4e-6 if method == "low-rank" and adds_powers else 1e-6)
     assert np.percentile(np.abs(values - exact).max(axis=0) / largest, 99.0) < 2e-5
@@ -77,7 +77,7 @@ def test_rows_times_basis_are_the_coefficients(method, adds_powers, height_range
 @pytest.mark.parametrize("kappas", RANGES)
 @pytest.mark.parametrize("adds_powers", [True, False])
 @pytest.mark.parametrize("method", ["low-rank", "power"])
-def test_what_a_basis_leaves_out(method, adds_powers, kappas):
+def test_the_truncation_error_of_a_basis(method, adds_powers, kappas):
     if method == "power" and not adds_powers:
         pytest.skip("a series of powers has no amplitudes")
     heightfield = surface(0.6)
@@ -94,7 +94,7 @@ def test_what_a_basis_leaves_out(method, adds_powers, kappas):
             "yxpn,kn->kyxp", coefficients.rows[..., :terms].astype(float), basis_at(coefficients, at)[:, :terms]
         )
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
-        # A percentile of a sample, at nodes in κ: others lie a little above.
+        # The stated truncation error is a percentile at sampled κ. Errors between the samples are slightly larger.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
         assert coefficients.truncation_errors[terms] <= tolerance < coefficients.truncation_errors[terms - 1]
 
@@ -108,7 +108,7 @@ def test_the_fitted_basis_is_the_smallest():
         for tolerance in (1e-2, 1e-4):
             argument = 2.0 * math.pi * RANGES[0][1] * series.offset_and_scale(heightfield)[1]
             assert low_rank.terms_within(tolerance) < power.terms_within(tolerance)
-            # Two rows of amplitudes for one of powers.
+            # A series of amplitudes needs two rows where a series of powers needs one.
             assert power.terms_within(tolerance) < 2 * series.term_count(argument, tolerance)
 
 
@@ -123,12 +123,12 @@ def test_flat_and_thin_fields(shape, method, rng):
         )
         powers = values[..., 0] if values.shape[-1] == 1 else np.sum(values**2, axis=-1)
         exact = np.abs(transforms(heightfield, block, (0.5, 3.0, 5.3))) ** 2
-        # Uncentred heights cancel in float32: e^5 times its rounding.
+        # Taylor series of uncentred heights lose accuracy by cancellation: e⁵ times the float32 rounding error.
         np.testing.assert_allclose(powers, exact, atol=1e-5 if method == "taylor-uncentred" else 1e-6)
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """Or the first terms of one basis would be taken for those of another."""
+    """The fitted basis is shared by plans, so it must not depend on the neighbourhood of a plan."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -147,7 +147,7 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders(taps, samples, rng):
-    """A transform at half orders, interpolated, against the sum at any frequency."""
+    """A Fourier transform at half orders, interpolated, equals the explicit sum at any frequency."""
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)
@@ -178,8 +178,8 @@ def test_interpolation_kernel_and_its_transform():
 
 
 @pytest.mark.parametrize("method", ["low-rank", "power"])
-def test_what_a_shallow_surface_scatters_several_times(method):
-    """Nothing oscillates with κ, but powers of the n-th order grow as κ²ⁿ: right in proportion to themselves."""
+def test_higher_orders_of_a_shallow_surface_are_accurate(method):
+    """The power of order n is proportional to κ²ⁿ and very small, but must have a small relative error."""
     x = np.arange(64) / 64.0
     heightfield = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
     coefficients, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)

@@ -1,4 +1,4 @@
-"""The direct sum against an explicit average over window positions, and the kernel against the direct sum."""
+"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum."""
 
 import functools
 
@@ -13,7 +13,7 @@ WAVELENGTHS_UM = np.array([0.39, 0.46, 0.53, 0.61, 0.7, 0.77])
 
 
 def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
-    """|Σ g e^{ik(wh + ux + vy)} / Σ g|² over the patch repeated to eight σ around ``centre``, (y, x) in µm."""
+    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² over the repeated patch within 8σ of ``centre``, (y, x) in µm."""
     u, v, w = scattering_vector
     (ny, nx), (dy, dx), (length_y, length_x) = heightfield.shape, heightfield.pitch_um, heightfield.size_um
     copies_y, copies_x = (int(np.ceil(8.0 * sigma_um / length)) + 1 for length in heightfield.size_um)
@@ -29,7 +29,7 @@ def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
 
 @pytest.fixture
 def small(rng):
-    """A rough patch of unequal sides and pitches, 1.2 × 1.1 µm."""
+    """Return a rough patch of 1.2 × 1.1 µm with unequal sides and pitches."""
     return wd.HeightField(rng.uniform(0.0, 0.25, (12, 10)), (0.1, 0.11))
 
 
@@ -69,7 +69,7 @@ FORMS = {
     "200-copies": wd.Coherence("replicas", periods=(1, 200)),
 }  # fmt: skip
 METHODS = ("low-rank", "power", "jacobi-anger", "taylor")
-# Powers are a basis only where powers add.
+# The method "power" is only available for coherence models that add powers.
 PAIRS = [
     pytest.param(coherence, method, id=f"{name}-{method}")
     for name, coherence in FORMS.items()
@@ -80,10 +80,10 @@ PAIRS = [
 
 @functools.cache
 def exact_spectra(heightfield, coherence, count, *, in_plane=False):
-    """Directions to the light and to the viewer, and the direct sum at them; for all methods the same."""
+    """Return directions to light and viewer and the direct sum for them; cached, because all methods use them."""
     rng = np.random.default_rng(20140)
     lights, views = hemisphere(rng, count), hemisphere(rng, count)
-    # A quarter of the directions near the mirror direction, where the reflectance is largest.
+    # A quarter of the directions is near the mirror direction, where the reflectance is largest.
     views[::4] = views[::4] * 0.03 + lights[::4] * np.array([-1.0, -1.0, 1.0])
     if in_plane:
         # Surfaces that are constant along y reflect only within the plane of incidence.
@@ -94,9 +94,9 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 
 
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
-    """Largest error of the kernel in units of the bar, over random directions and several wavelengths."""
+    """Return the largest error of the kernel over random directions and wavelengths, in units of the allowed error."""
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
-    # "Where the terms suffice": a plan by its bounds, which is what few directions get, here the ends of the range.
+    # A plan for few directions, here the ends of the range, uses upper bounds, which provide enough terms.
     uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
     ends = [uv.argmax(), w.argmin(), w.argmax()]
     options = {"coherence": coherence, "method": method}
@@ -111,19 +111,19 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """A crop for windows, and one for a source and copies, whose direct sums take longer."""
+    """Return two crops of the scan: the larger for windows, the smaller for sources and replicas, which are slow."""
     return scan.cropped(12.5), scan.cropped(6.25)
 
 
 @pytest.fixture(scope="module")
 def fingers():
-    """Two patches of fingers, the same way."""
+    """Return two patches of fingers: the larger for windows, the smaller for sources and replicas."""
     return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (12.8, 6.4))
 
 
 @pytest.fixture(scope="module")
 def row():
-    """A grating of one row, constant along y."""
+    """Return a grating of one row, which is constant along y."""
     return wd.gratings.blazed(2.5, 0.25)
 
 
@@ -148,7 +148,7 @@ def test_kernel_against_direct_on_one_row(row, coherence, method, device):
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 @pytest.mark.parametrize("sigma_um", [0.8, 3.0])
 def test_wide_neighbourhoods(kind, sigma_um, rng):
-    """Short windows reach over more coefficients than the patch has: the look-up is periodic."""
+    """The neighbourhood of a short window is larger than the patch's spectrum, so the look-up must be periodic."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), (0.09, 0.07))
     lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
     options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
@@ -168,8 +168,8 @@ def test_moved_window_through_the_kernel(rng):
         np.testing.assert_allclose(result, exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
-# Each with the size of its patch [µm] and its number of directions: direct sums of what is sharp take thousands of
-# wavelengths, most of all under a source near the horizon.
+# Coherence model, patch size in µm and number of directions. Direct sums over narrow orders require thousands of
+# wavelengths, especially for a source near the horizon.
 COLOURED = {
     "averaged": (wd.Coherence("averaged", 5.0), 6.4, 16),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
@@ -180,7 +180,7 @@ COLOURED = {
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
 def test_colour_within_its_tolerance(kind, rng):
-    """The design's error of a call: 99 % of the directions within the tolerance."""
+    """The 99th percentile of the errors over the directions of a call must be within the tolerance."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
     lowest = 0.2 if kind == "source" else 0.05
@@ -191,8 +191,8 @@ def test_colour_within_its_tolerance(kind, rng):
         assert np.percentile(relative_errors(result, exact), 99.0) <= tolerance
 
 
-def test_the_direct_method_does_not_know_the_series(monkeypatch):
-    """The truth shares nothing with what it judges: without the series it still answers."""
+def test_the_direct_method_does_not_use_the_series(monkeypatch):
+    """The reference must not share code with the methods that it validates, so it must work without the series."""
     monkeypatch.setattr(fourier_coefficients, "series_coefficients", None)
     heightfield = wd.HeightField(np.zeros((4, 4)), 0.05)
     value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")

@@ -28,8 +28,8 @@ def seen_from(towards):
 
 
 @pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
-def test_powers_of_all_bins_are_all_power(bin_um):
-    """By Parseval's theorem, as the orders of a pitch of 0.1 µm end at 5/µm."""
+def test_powers_of_all_bins_add_up_to_one(bin_um):
+    """By Parseval's theorem all powers add up to 1. With a pitch of 0.1 µm the orders end at 5/µm."""
     powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
@@ -37,7 +37,7 @@ def test_powers_of_all_bins_are_all_power(bin_um):
 
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
-    """The furnace, over the views that a sphere shows: the factors are made without any sky."""
+    """A perfect mirror in a uniform environment (white furnace) must be as bright as the environment."""
     off, heightfield = [], SURFACES["blazed"]()
     for energy in ("stam", "normalised"):
         image, radius = furnace_picture(heightfield, energy, tolerance=1e-1, size=20)
@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """Kernels apply them to directional lights, point lights and a ``Renderer``; NumPy applies them to directions."""
+    """Kernels apply the factors to all lights of pictures, and NumPy applies them to arrays of directions."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -67,7 +67,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     assert "nergy" not in str(wd.shade(square, heightfield, lights[0], seen_from(view), **MIRROR).plan)
 
 
-def test_normalised_maps_are_reciprocal_and_say_what_they_are():
+def test_normalised_maps_are_reciprocal_and_report_the_normalisation():
     heightfield, light, view = SURFACES["blazed"](), at(50.0, 10.0), at(20.0, 170.0)
     options = MIRROR | {"energy": "normalised", "tolerance": 1e-3}
     there, back = wd.reflectance(heightfield, [light, view], [view, light], **options)
@@ -91,8 +91,8 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
         assert np.ravel(alone) == pytest.approx(among[:, column], rel=5e-3)
 
 
-def test_gentle_surfaces_keep_their_orders():
-    """Where one order has nearly all of the light, that it is sent back leaves factors free that make others wrong."""
+def test_energy_normalisation_hardly_changes_gentle_surfaces():
+    """If one order has nearly all power, conservation of energy hardly limits the factors, which must be near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)
@@ -119,7 +119,7 @@ def test_heights_of_another_unit_are_refused_before_their_energy_is_summed(monke
             call(deep, (0, 0, 1), (0.1, 0, 1), *([[550.0]] if call is wd.brdf else []), energy="normalised")
 
 
-def test_masking_gives_way_to_normalised_energy():
+def test_masking_is_off_with_normalised_energy():
     heightfield, light, view = SURFACES["fingers"](), at(60.0, 0.0), at(70.0, 60.0)
     options = MIRROR | {"energy": "normalised"}
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""Fourier coefficients of profiles whose transform is known, in float64 and through the kernel."""
+"""Fourier coefficients of profiles with known transforms, in float64 and through the kernel."""
 
 import itertools
 import math
@@ -66,7 +66,7 @@ def test_coefficients_float64(name, n, method):
 @pytest.mark.parametrize("method", ["auto", "taylor"])
 def test_coefficients_through_the_kernel(name, kind, method, device):
     make, closed = PROFILES[name]
-    # Copies have whole orders where a light without size has them.
+    # Replicas have orders of full power only for a whole number of periods.
     coherence = wd.Coherence(kind, periods=(1, 7) if kind == "replicas" else None)
     heightfield = make(128)
     light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
@@ -105,7 +105,7 @@ def test_parseval_on_two_dimensions():
 
 @pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0, 40.0])
 @pytest.mark.parametrize("method", EXPANSIONS)
-def test_block_holds_the_transform(frequency, method, rng):
+def test_a_block_contains_the_fourier_transform(frequency, method, rng):
     heightfield = wd.HeightField(rng.uniform(0.0, 0.2, (15, 24)), (0.11, 0.07))
     block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), frequency, (1, 2))
     expansion = EXPANSIONS[method]
@@ -139,8 +139,8 @@ def test_terms_from_the_remainder_bound(method, argument, tolerance):
     assert terms == 1 or expansion.remainder(argument, terms - 1) > tolerance
 
 
-def test_bessel_functions_are_the_tabulated_ones():
-    """Abramowitz and Stegun, tables 9.1 and 9.4."""
+def test_bessel_functions_equal_tabulated_values():
+    """The known values are from Abramowitz and Stegun, tables 9.1 and 9.4."""
     known = {
         (0, 1.0): 0.7651976865579666, (1, 1.0): 0.4400505857449335, (5, 10.0): -0.2340615281867936,
         (10, 20.0): 0.1864825580239450, (30, 5.0): 2.671177278e-21, (100, 100.0): 0.09636667329586,
@@ -150,8 +150,8 @@ def test_bessel_functions_are_the_tabulated_ones():
         assert phase_series.bessel_j(-argument, order + 1)[order] == pytest.approx((-1) ** order * value, abs=2e-14)
 
 
-def test_a_block_holds_all_orders_up_to_a_frequency_and_its_neighbours():
-    """0.7 /µm are 7 periods of 10 µm and 14 of 20 µm."""
+def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
+    """A frequency of 0.7/µm is order 7 of a period of 10 µm and order 14 of a period of 20 µm."""
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))
     for orders, last in zip(block.orders(), (8, 17), strict=True):

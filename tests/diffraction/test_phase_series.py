@@ -1,4 +1,4 @@
-"""Phase series in float32: where each one breaks, and the messages that say so."""
+"""Phase series in float32: height ranges at which each one fails, and the messages that report it."""
 
 import itertools
 
@@ -18,7 +18,7 @@ HEIGHTS_UM = [0.05, 0.3, 1.0, 2.5, 5.0]
 
 
 class Surface:
-    """Fingers of a height range, and their true spectra in some directions."""
+    """Fingers with a given height range, and their exact spectra in random directions."""
 
     def __init__(self, height):
         flat = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3)
@@ -52,7 +52,7 @@ def surfaces():
 
 
 def in_float32(method, height_range_um, terms=None):
-    """Largest error of a series with float32 throughout, for float32 κ, over all heights; and the number of terms."""
+    """Return the largest error of a series in float32, over κ and all heights, and its number of terms."""
     series = EXPANSIONS[method]
     h = np.linspace(0.0, height_range_um, 2001)
     g = h / height_range_um
@@ -78,7 +78,7 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
 
 
 def test_taylor_is_noise_in_float32():
-    """The design's figures: useless uncentred at 1 µm, at any number of terms; 0.1 if centred."""
+    """At 1 µm, the uncentred Taylor series is useless with any number of terms; the centred one has an error of 0.1."""
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0
     assert in_float32("taylor", 0.3)[0] < 1e-5
@@ -96,7 +96,7 @@ def test_automatic_choice_over_height_ranges(surfaces, height):
 @pytest.mark.slow
 @pytest.mark.parametrize("height", [0.05, 1.0, 5.0])
 @pytest.mark.parametrize("method", ["jacobi-anger", "power", "low-rank"])
-def test_bounded_series_reach_float32_at_all_of_them(surfaces, method, height):
+def test_series_of_bounded_functions_are_accurate_at_all_heights(surfaces, method, height):
     assert surfaces[height].library(method) <= 5e-5
     assert surfaces[height].series(method, np.float64) <= 1e-8
 
@@ -105,22 +105,22 @@ def test_bounded_series_reach_float32_at_all_of_them(surfaces, method, height):
     ("method", "fair", "broken", "double"),
     [("taylor-uncentred", 0.3, 1.0, 2.5), ("taylor", 0.3, 1.6, 5.0)],
 )
-def test_taylor_breaks(surfaces, method, fair, broken, double):
-    """In float32 at a height range, in float64 with the library's most terms at twice to five times as much."""
+def test_taylor_series_fail_above_a_height_range(surfaces, method, fair, broken, double):
+    """Taylor series fail in float32. In float64 they fail only at heights 2 to 5 times larger."""
     assert surfaces[fair].library(method) <= 1e-4
     assert surfaces[broken].library(method) > 1.0
     assert surfaces[broken].series(method, np.float64) <= 1e-4
     assert surfaces[double].series(method, np.float64) > 1.0
 
 
-def test_the_published_number_of_terms_breaks(surfaces):
+def test_the_published_number_of_terms_fails_at_1_um(surfaces):
     assert surfaces[0.3].series("taylor-uncentred", np.float32, methods.PUBLISHED_TERMS) <= 1e-4
     for dtype in (np.float32, np.float64):
         assert surfaces[1.0].series("taylor-uncentred", dtype, methods.PUBLISHED_TERMS) > 1.0
 
 
 @pytest.mark.parametrize(("method", "height"), [("taylor-uncentred", 1.0), ("taylor", 1.6)])
-def test_a_broken_series_is_refused_or_named(surfaces, method, height):
+def test_a_series_that_fails_is_refused_or_reported(surfaces, method, height):
     arguments = surfaces[height].arguments
     for call in (wd.spectral_reflectance, lambda *a, **k: wd.reflectance(*a[:3], **k)):
         with pytest.raises(ValueError, match=r"Taylor series cannot meet tolerance=0\.01: (float32|\d+ terms).*strict"):

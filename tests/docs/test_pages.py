@@ -1,4 +1,4 @@
-"""Pages of the documentation: their Python code runs unchanged, and their links lead to files."""
+"""Pages of the documentation: their Python code runs unchanged, and their links refer to existing files."""
 
 import re
 from pathlib import Path
@@ -10,19 +10,19 @@ DOCS = ROOT / "docs"
 BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
-# Pages that the build of the site writes.
+# Pages that are generated when the documentation is built.
 BUILT = ("reference/api", "reference/options", "reference/command_line", "gallery/index")
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
 def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
-    """Blocks that require an extra package or a GPU are marked, and are left to the tests of these."""
+    """Run all Python blocks of a page in order, except those marked as requiring an extra package or a GPU."""
     monkeypatch.chdir(tmp_path)
     names: dict = {}
     for mark, code in BLOCK.findall(page.read_text(encoding="utf-8")):
         if not mark:
-            exec(compile(code, str(page), "exec"), names)  # noqa: S102 (the page is the code)
+            exec(compile(code, str(page), "exec"), names)  # noqa: S102 (the tested code)
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,15 @@ FOLDER = ROOT / "docs" / "pictures"
 MAKERS = json.loads((FOLDER / "makers.json").read_text(encoding="utf-8"))
 
 
-def test_every_picture_has_a_maker():
+def test_every_picture_has_a_command():
     assert {path.name for path in FOLDER.glob("*.png")} == set(MAKERS)
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_the_maker_exists(name, monkeypatch):
+def test_the_command_of_a_picture_exists(name, monkeypatch):
     command = MAKERS[name].split()
     if command[0] == "warpdiff":
-        # The demonstration makes its pictures of the scan from any height field.
+        # The demonstration can make its pictures of the scan from any height field.
         monkeypatch.setattr(demo, "cleaned_scan", lambda _path: wd.HeightField(np.zeros((4, 4)), 0.1))
         monkeypatch.setattr(demo.Path, "is_file", lambda _path: True)
         assert Path(name).stem in {picture.name for picture in demo.pictures(ROOT)}

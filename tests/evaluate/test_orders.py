@@ -1,4 +1,4 @@
-"""Efficiencies of orders: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, bad input."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, and invalid arguments."""
 
 import math
 
@@ -28,7 +28,7 @@ def blazed(kappa, depth, order):
     return np.sinc(kappa * depth - order) ** 2
 
 
-# Finely sampled: what the steps of two profiles have beyond the samples falls with their square.
+# Height field, closed form and allowed error of each profile. Sampling errors of steps fall as 1/samples².
 PROFILES = {
     "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
     "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
@@ -36,8 +36,8 @@ PROFILES = {
 }
 
 
-def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_at_each(rng):
-    """A series with half of the terms in reserve, or for half the range of κ, has errors of the order of 1."""
+def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
+    """A series with too few terms, or for half of the range of κ, would give coefficients with errors of about 1."""
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
     indices = rng.integers(-9, 9, (40, 2))
@@ -46,53 +46,53 @@ def test_coefficients_of_a_tall_surface_at_many_kappas_are_those_of_a_transform_
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # Terms are few: twice as many as the argument would take twice the time.
+    # The number of terms must be close to the argument of the series, because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
 def test_closed_forms(name, angle):
-    """The grating equation gives directions, κ and geometry; the profile's transform the rest."""
+    """The grating equation gives directions, κ and geometry; the profile's Fourier transform gives the power."""
     heightfield, closed, error = PROFILES[name]
-    found = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
+    result = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
     sin_i, cos_i = math.sin(math.radians(angle)), math.cos(math.radians(angle))
     count = 0
     for k, wavelength in enumerate(WAVELENGTHS):
         for m in range(-15, 16):
             sin_r = m * wavelength * 1e-3 / PERIOD - sin_i
             if abs(sin_r) >= 1.0:
-                assert found[0, m][k] == 0.0
+                assert result[0, m][k] == 0.0
                 continue
             cos_r = math.sqrt(1.0 - sin_r**2)
             kappa = -(cos_i + cos_r) / (wavelength * 1e-3)
-            # The amplitude is the profile's component r = −m of e^{2πiκh}, ∫ e^{2πiκh} e^{+2πirx/d}.
+            # The amplitude of order m is the Fourier component r = −m of e^{2πiκh}: ∫ e^{2πiκh} e^{+2πirx/d} dx.
             power = closed(kappa, 0.3, m)
             geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
-            assert found[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
-            at = found.orders.tolist().index([0, m])
-            np.testing.assert_allclose(found.to_view[k, at], [sin_r, 0.0, cos_r], atol=1e-12)
+            assert result[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
+            at = result.orders.tolist().index([0, m])
+            np.testing.assert_allclose(result.to_view[k, at], [sin_r, 0.0, cos_r], atol=1e-12)
             count += 1
-    assert np.count_nonzero(np.isfinite(found.to_view[..., 0])) == count
+    assert np.count_nonzero(np.isfinite(result.to_view[..., 0])) == count
 
 
-def test_a_blaze_throws_its_light_where_its_facets_mirror():
-    """Facets that rise with x lean towards −x: light from above is reflected to −2α."""
+def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
+    """Facets that rise with x are tilted towards −x by α, so they reflect normal incidence to −2α."""
     wavelength = 0.5
     heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
-    found = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
-    best = found.to_view[0, np.argmax(found.efficiencies[0])]
+    result = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
+    best = result.to_view[0, np.argmax(result.efficiencies[0])]
     assert best[0] == pytest.approx(-math.sin(2.0 * math.atan(wavelength / 4.0)), abs=0.03)
-    assert found[0, -2][0] > 0.9
+    assert result[0, -2][0] > 0.9
 
 
 def test_two_dimensions_by_explicit_sums(rng):
     heightfield = wd.HeightField(rng.uniform(0.0, 0.5, (12, 18)), (0.11, 0.08))
     light = hemisphere(rng, 1, 0.5)[0]
-    found = wd.order_efficiencies(heightfield, light, [500.0])
+    result = wd.order_efficiencies(heightfield, light, [500.0])
     y, x = np.mgrid[:12, :18]
-    assert len(found.orders) > 20
-    for (m_y, m_x), view, efficiency in zip(found.orders, found.to_view[0], found.efficiencies[0], strict=True):
+    assert len(result.orders) > 20
+    for (m_y, m_x), view, efficiency in zip(result.orders, result.to_view[0], result.efficiencies[0], strict=True):
         np.testing.assert_allclose((light + view)[:2], [m_x * 0.5 / 1.44, m_y * 0.5 / 1.32], atol=1e-12)
         w = light[2] + view[2]
         amplitude = np.mean(np.exp(-2j * np.pi * (w / 0.5 * heightfield.heights_um + m_x * x / 18 + m_y * y / 12)))
@@ -103,26 +103,28 @@ def test_two_dimensions_by_explicit_sums(rng):
 
 
 def test_an_order_is_the_integral_of_the_brdf():
-    """A window spreads an order over λ²/(4πσ²); at its centre the BRDF is the efficiency over that."""
+    """A window spreads an order over the solid angle λ²/(4πσ²). The BRDF at its centre is efficiency / solid angle."""
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
-    found = wd.order_efficiencies(heightfield, light, 550.0)
+    result = wd.order_efficiencies(heightfield, light, 550.0)
     options = {"coherence": wd.Coherence(sigma_um=sigma), "tolerance": 1e-4}
-    brdf = wd.brdf(heightfield, light, found.to_view[0], 550.0, **options)[:, 0]
-    np.testing.assert_allclose(brdf * 0.55**2 / (4.0 * math.pi * sigma**2), found.efficiencies[0], rtol=1e-3, atol=1e-6)
+    brdf = wd.brdf(heightfield, light, result.to_view[0], 550.0, **options)[:, 0]
+    np.testing.assert_allclose(
+        brdf * 0.55**2 / (4.0 * math.pi * sigma**2), result.efficiencies[0], rtol=1e-3, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("ior", [1.5, math.inf])
 def test_a_flat_surface_is_a_mirror(ior):
     heightfield = wd.HeightField(np.full((3, 40), 0.2), 0.05)
-    found = wd.order_efficiencies(heightfield, at_angle(50.0), WAVELENGTHS, ior=ior)
+    result = wd.order_efficiencies(heightfield, at_angle(50.0), WAVELENGTHS, ior=ior)
     normal = 1.0 if math.isinf(ior) else 0.04
     fresnel = normal + (1.0 - normal) * (1.0 - math.cos(math.radians(50.0))) ** 5
-    np.testing.assert_allclose(found[0, 0], fresnel, rtol=1e-12)
-    np.testing.assert_allclose(found.efficiencies.sum(axis=1), fresnel, rtol=1e-12)
+    np.testing.assert_allclose(result[0, 0], fresnel, rtol=1e-12)
+    np.testing.assert_allclose(result.efficiencies.sum(axis=1), fresnel, rtol=1e-12)
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """And not where they are short and the light grazes: the theory's, see the README's limits."""
+    """For short periods and grazing light, scalar theory itself violates conservation of energy."""
 
     def total(period, angle):
         given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0
@@ -133,8 +135,8 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
     assert total(0.6, 75.0) > 1.05
 
 
-def test_reciprocity(rng):
-    """Light sent back along an order returns along the ray, and as much of it."""
+def test_orders_are_reciprocal(rng):
+    """Light sent back along a diffraction order returns to its source with the same efficiency."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.3, (8, 20)), 0.1)
     light = hemisphere(rng, 1, 0.4)[0]
     there = wd.order_efficiencies(heightfield, light, 500.0)
@@ -162,40 +164,40 @@ def test_bad_input(arguments, error, message):
         wd.order_efficiencies(**legal | arguments)
 
 
-def test_an_axis_of_one_sample_has_no_order_but_the_zeroth_however_long_it_is():
+def test_an_axis_of_one_sample_has_only_the_zeroth_order():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # |m 0.5/1.6 − sin 20°| < 1.
+    # Only orders with |m 0.5/1.6 − sin 20°| < 1 propagate.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 
-def test_an_order_is_a_pair():
-    found = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
-    assert found[0, 99].tolist() == [0.0]
+def test_an_order_is_a_pair_of_integers():
+    result = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.1), (0, 0, 1), [500.0])
+    assert result[0, 99].tolist() == [0.0]
     with pytest.raises(TypeError, match="order must be an integer"):
-        found[0, 0.5]
+        result[0, 0.5]
 
 
 @pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.0), (50.0, 0.0), (70.0, 40.0)])
-def test_normalised_orders_of_a_mirror_send_back_all_of_the_light(angle, azimuth):
+def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
     theta, phi = math.radians(angle), math.radians(azimuth)
     light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     for heightfield in (wd.gratings.blazed(1.7, 0.2), wd.gratings.bumps(spacing_um=(1.2, 1.5), height_um=0.15)):
         stam = wd.order_efficiencies(heightfield, light, WAVELENGTHS, ior=math.inf, energy="stam")
-        found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, ior=math.inf)
-        np.testing.assert_allclose(found.efficiencies.sum(axis=1), 1.0, rtol=1e-12)
+        result = wd.order_efficiencies(heightfield, light, WAVELENGTHS, ior=math.inf)
+        np.testing.assert_allclose(result.efficiencies.sum(axis=1), 1.0, rtol=1e-12)
         assert np.max(np.abs(stam.efficiencies.sum(axis=1) - 1.0)) > 1e-3
 
 
 def test_normalised_orders_are_reciprocal():
-    """The share from light to view is that from the view back to the light: dividing by sums alone loses this."""
+    """Normalised efficiencies are reciprocal. Division by the sum of the orders would violate reciprocity."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
-    found = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
+    result = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []
-    for order, view in zip(found.orders, found.to_view[0], strict=True):
+    for order, view in zip(result.orders, result.to_view[0], strict=True):
         back = wd.order_efficiencies(heightfield, view, 600.0, ior=math.inf)
-        np.testing.assert_allclose(back[tuple(order)], found[tuple(order)], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(back[tuple(order)], result[tuple(order)], rtol=1e-9, atol=1e-12)
         sums = [
             wd.order_efficiencies(heightfield, each, 600.0, ior=math.inf, energy="stam").efficiencies.sum()
             for each in (light, view)
@@ -208,13 +210,16 @@ def test_metals_are_normalised_and_glass_is_not():
     heightfield, light = wd.gratings.sinusoidal(1.1, 0.1), at_angle(30.0)
     gold, glass = wd.Material.metal("Au"), wd.Material.dielectric(1.5)
     for material, form in ((gold, "normalised"), (glass, "stam")):
-        found = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material)
+        result = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material)
         expected = wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=material, energy=form)
-        np.testing.assert_array_equal(found.efficiencies, expected.efficiencies)
+        np.testing.assert_array_equal(result.efficiencies, expected.efficiencies)
 
 
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
-    """Fresnel's |(N − 1) / (N + 1)|² at normal incidence; wavelengths beyond the table are refused."""
+    """At normal incidence a metal with index N reflects |(N − 1) / (N + 1)|².
+
+    Wavelengths outside of the material's table are refused.
+    """
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
     mirror = wd.HeightField(np.zeros((2, 2)), 0.1)
@@ -225,23 +230,23 @@ def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
             wd.order_efficiencies(mirror, (0, 0, 1), beyond, material=metal)
 
 
-def test_the_normalised_brdf_of_many_orders_sends_back_no_more_than_comes_in():
-    """∫ BRDF cos θ dω is the sum over orders that lie closely: factors from a grid of directions."""
+def test_the_normalised_brdf_of_many_orders_conserves_energy():
+    """If there are many orders, normalisation factors are interpolated from a grid of directions."""
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
     for angle in (0.0, 45.0, 75.0):
-        stam, found = (
+        stam, result = (
             wd.order_efficiencies(heightfield, at_angle(angle), 450.0, ior=math.inf, energy=energy)
             for energy in ("stam", "normalised")
         )
-        assert len(found.orders) > energy_normalisation.MOST_EXACT
-        assert found.efficiencies.sum() == pytest.approx(1.0, abs=1e-9)
-        above = np.argsort(found.efficiencies[0])[-40:]
-        given = at_angle(angle), found.to_view[0, above], 450.0
+        assert len(result.orders) > energy_normalisation.MOST_EXACT
+        assert result.efficiencies.sum() == pytest.approx(1.0, abs=1e-9)
+        above = np.argsort(result.efficiencies[0])[-40:]
+        given = at_angle(angle), result.to_view[0, above], 450.0
         absolute = [
             wd.brdf(heightfield, *given, ior=math.inf, tolerance=1e-3, energy=form)[:, 0]
             for form in ("stam", "normalised")
         ]
-        expected = (found.efficiencies / stam.efficiencies)[0, above]
+        expected = (result.efficiencies / stam.efficiencies)[0, above]
         np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)
 
 

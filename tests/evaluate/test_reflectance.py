@@ -1,4 +1,4 @@
-"""Reflectance by the direct sum, maps and the absolute BRDF, against references and closed forms."""
+"""Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms."""
 
 import itertools
 import math
@@ -12,17 +12,17 @@ from bench.truth import reference
 from warpdiff.evaluate import reflectance as module
 
 UP = (0.0, 0.0, 1.0)
-# Orders of a short line overlap under it.
+# Short coherence, with which the orders of a short line overlap.
 SHORT = wd.Coherence(sigma_um=0.3)
 
 
 @pytest.fixture(scope="module")
 def line():
-    """A random line of 16 samples."""
+    """Return a height field of one row with 16 random samples."""
     return wd.HeightField(np.random.default_rng(4).uniform(0.0, 0.03, (1, 16)), 0.09)
 
 
-def test_direct_colours_are_those_of_the_reference_and_report_their_progress(line, rng):
+def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng):
     lights, views = hemisphere(rng, 5, 0.3), hemisphere(rng, 5, 0.3)
     views[3] *= -1.0
     shares = []
@@ -30,14 +30,14 @@ def test_direct_colours_are_those_of_the_reference_and_report_their_progress(lin
     colours = wd.reflectance(line, lights, views, progress=shares.append, **options)
     exact = reference.reference_reflectance(line, lights, views, SHORT, tolerance=1e-4)
     assert not colours[3].any()
-    lit = np.arange(5) != 3
-    assert relative_errors(colours[lit], exact[lit]).max() < 1e-3
-    # A direction below the horizon takes no time.
+    illuminated = np.arange(5) != 3
+    assert relative_errors(colours[illuminated], exact[illuminated]).max() < 1e-3
+    # Directions below the horizon are not computed, so progress has four steps for five directions.
     np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
 
 
-def test_direct_colours_that_have_not_converged_are_warned_of(line, monkeypatch):
-    """The step is halved as long as fewer wavelengths than the limit result."""
+def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatch):
+    """The wavelength step of a direct sum is halved until the colour converges or the limit is reached."""
     counts = []
     sums = module.direct_sum.window_power
 
@@ -49,7 +49,7 @@ def test_direct_colours_that_have_not_converged_are_warned_of(line, monkeypatch)
     options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
     wd.reflectance(line, at_angle(10.0), UP, **options)
     first = counts[0]
-    # Only new wavelengths are computed: as many as there are, less one.
+    # Each halving of the step computes only the new wavelengths: as many as before minus one.
     totals = list(itertools.accumulate(counts))
     assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
     monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)
@@ -65,8 +65,8 @@ def test_direct_colours_that_have_not_converged_are_warned_of(line, monkeypatch)
     assert counts == [first]
 
 
-def test_the_brdf_of_a_mirror_under_a_window_is_four_pi_sigma_squared_over_the_squared_wavelength():
-    """Times R (1 + ωi·ωr)² / (cos θi cos θr w²), which is 1 in the mirror direction; 0 below the horizon."""
+def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
+    """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²), which is 1 here and 0 below the horizon."""
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
     for angle in (0.0, 40.0):
@@ -79,7 +79,7 @@ def test_the_brdf_of_a_mirror_under_a_window_is_four_pi_sigma_squared_over_the_s
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """From the left to the right x grows, and from the top to the bottom y falls."""
+    """In a map, x increases from left to right, and y decreases from top to bottom."""
     light = at_angle(20.0)
     plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
     image = wd.reflectance_map(line, light, size=6, samples_per_pixel=4, plan=plan)
@@ -94,12 +94,12 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # Errors are relative to the colour, or to the floor.
+    # The errors of a map are relative to the colour, or to the luminance floor.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 
 
-def test_a_normalised_brdf_does_not_depend_on_directions_beside_it():
+def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():
     grating, view = wd.gratings.blazed(1.7, 0.2), at_angle(-20.0)
     lights = np.array([at_angle(30.0), at_angle(100.0)])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "normalised", "tolerance": 1e-2}

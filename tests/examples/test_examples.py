@@ -14,19 +14,19 @@ import warpdiff as wd
 
 FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*/plot_*.py"))
-# Lines of a script, and pixels of a test picture's longer side.
+# Largest number of lines of a script, and of pixels along the longer side of a test picture.
 MOST_LINES, MOST_PIXELS = 40, 48
 
 
 def smaller(view):
-    """A view with few pixels."""
+    """Return a copy of the view with few pixels."""
     scale = MOST_PIXELS / max(view.width, view.height)
     size = {name: max(round(scale * getattr(view, name)), 2) for name in ("width", "height")}
     return dataclasses.replace(view, **size)
 
 
 class SmallView:
-    """Stands for ``wd.View`` in an example."""
+    """Replacement for ``wd.View`` in an example, which makes views with few pixels."""
 
     def __call__(self, *arguments, **options):
         return smaller(wd.scene.camera.View(*arguments, **options))
@@ -36,7 +36,7 @@ class SmallView:
 
 
 def rough(function, **fixed):
-    """A function whose settings are replaced by those that take the least time."""
+    """Return the function with some of its arguments fixed, so that it runs faster."""
 
     @functools.wraps(function)
     def call(*arguments, **options):

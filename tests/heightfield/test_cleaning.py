@@ -1,4 +1,4 @@
-"""Cleaning: identities of levelling, resampling and the periodic part, despiking, and the real scan."""
+"""Cleaning of height fields: levelling, resampling, periodic part, despiking, and the measured scan."""
 
 from pathlib import Path
 
@@ -44,19 +44,19 @@ def test_resampling_up_and_down_returns_the_original(shape: tuple[int, int], fac
     assert finer.shape == tuple(1 if n == 1 else round(n * factor) for n in shape)
     back = finer.resampled(field.pitch_um)
     np.testing.assert_allclose(back.heights_um, field.heights_um, atol=1e-15)
-    # Parseval; only the Nyquist terms of even counts, split in two, hold less.
+    # By Parseval's theorem resampling preserves the rms height, except if an even count splits the Nyquist term.
     if all(n % 2 == 1 for n in shape):
         assert finer.rms_um == pytest.approx(field.rms_um, rel=1e-12)
     assert np.mean(finer.heights_um) == pytest.approx(np.mean(field.heights_um), abs=1e-15)
 
 
-def test_resampling_by_a_whole_number_keeps_the_samples() -> None:
+def test_resampling_by_a_whole_factor_preserves_the_samples() -> None:
     field = noise((12, 10))
     finer = field.resampled((field.pitch_um[0] / 2.0, field.pitch_um[1] / 3.0))
     np.testing.assert_allclose(finer.heights_um[::2, ::3], field.heights_um, atol=1e-15)
 
 
-def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() -> None:
+def test_resampling_interpolates_a_wave_exactly_and_drops_higher_frequencies() -> None:
     x = np.arange(60) / 60.0
     slow, fast = np.cos(2.0 * np.pi * (3.0 * x + 0.1)), np.cos(2.0 * np.pi * 25.0 * x)
     coarse = HeightField.of_known_scale((slow + fast)[None, :], 1.0 / 60.0).resampled(1.0 / 20.0)
@@ -67,7 +67,7 @@ def test_resampling_interpolates_a_wave_exactly_and_drops_what_does_not_fit() ->
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
-    # A term of frequency ±n/2 must come out as the samples of the wave, whatever its sign.
+    # After resampling, a wave at the new Nyquist frequency must have the right sign.
     x = np.arange(24) / 24.0
     wave = HeightField.of_known_scale((sign * np.cos(2.0 * np.pi * 4.0 * x))[None, :], 1.0 / 24.0)
     coarse = wave.resampled(1.0 / 8.0)
@@ -75,7 +75,7 @@ def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
 
 
 def cross(heights: np.ndarray) -> float:
-    """Power on the two axes over that on neighbouring lines, from the fifth coefficient on."""
+    """Return the spectral power on the two axes relative to neighbouring lines, from the fifth coefficient on."""
     power = np.abs(np.fft.fft2(heights - heights.mean())) ** 2
     ny, nx = power.shape
     rows, columns = np.arange(5, ny - 4), np.arange(5, nx - 4)
@@ -98,13 +98,13 @@ def test_a_periodic_patch_has_no_cross() -> None:
 
 @pytest.mark.filterwarnings("ignore:periodic")
 def test_the_periodic_part_solves_moisans_equation() -> None:
-    # Inside, the smooth part is harmonic up to nothing at all: its five-point Laplacian vanishes off the edges.
+    # Off the edges, the smooth part of Moisan's decomposition is harmonic: its five-point Laplacian is 0.
     field = noise((20, 17))
     smooth = field.heights_um - field.periodic().heights_um
     laplacian = sum(np.roll(smooth, s, a) for s in (1, -1) for a in (0, 1)) - 4.0 * smooth
     np.testing.assert_allclose(laplacian[1:-1, 1:-1], 0.0, atol=1e-15)
     assert abs(smooth.mean()) < 1e-16
-    # Fields whose edges match stay unchanged: equal edges, and a single sample across.
+    # Fields with equal edges and single rows are already periodic and stay unchanged.
     for same in (np.zeros((4, 5)), np.array([[1.0, 2.0, 1.0]])):
         np.testing.assert_allclose(HeightField(same, 1.0).periodic().heights_um, same, atol=1e-15)
 
@@ -119,12 +119,12 @@ CLEAN = {
 
 
 @pytest.mark.parametrize("name", CLEAN)
-def test_despiking_leaves_clean_surfaces_alone(name: str) -> None:
+def test_despiking_does_not_change_clean_surfaces(name: str) -> None:
     field = CLEAN[name]()
     np.testing.assert_array_equal(field.despiked().heights_um, field.heights_um)
 
 
-def test_despiking_removes_a_grain_and_keeps_the_rest() -> None:
+def test_despiking_removes_a_grain_and_nothing_else() -> None:
     clean = gratings.fingers(size_um=15.0)
     ny, nx = clean.shape
     y, x = np.meshgrid(np.arange(ny) * clean.pitch_um[0], np.arange(nx) * clean.pitch_um[1], indexing="ij")
@@ -143,7 +143,7 @@ def test_despiking_removes_a_grain_and_keeps_the_rest() -> None:
     np.testing.assert_array_equal(result.heights_um[~changed], dirty.heights_um[~changed])
 
 
-# 0 to 255 stands for 0 to 0.375 µm.
+# In the file of the scan, pixel values from 0 to 255 represent heights from 0 to 0.375 µm.
 def test_real_scan_is_cleaned(scan_path: Path) -> None:
     scan = HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375)
     assert scan.shape == (1332, 1332)

@@ -1,4 +1,4 @@
-"""Diagnostics: the summary, wrong units, and the error bound of scalar diffraction against rigorous solutions."""
+"""Diagnostics: the summary, wrong units, and the error bound of scalar diffraction compared with rigorous solutions."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from warpdiff.apps.cli_inputs import GRATINGS
 from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound, scalar_error_text
 
 RIGOROUS = Path(__file__).resolve().parents[2] / "bench" / "suite" / "rigorous.json"
-# 0.3 µm high, at 50 nm.
+# Synthetic surface of the size of a scan: 0.3 µm high, with a pitch of 50 nm.
 SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
 
 
@@ -35,16 +35,16 @@ def test_summary_reads_well() -> None:
 
 
 @pytest.mark.parametrize("period", [2.0, 7.0])
-def test_a_sine_has_its_own_period(period):
-    """(4πs/λ)² λ/P: s² = depth²/8."""
+def test_the_error_bound_of_a_sine_has_a_closed_form(period):
+    """The scalar error bound of a sine is (4πs/λ)² λ/P, with the variance s² = depth²/8 and the period P."""
     heightfield = wd.gratings.sinusoidal(period, 0.2, samples=400)
     bound = scalar_error_bound(heightfield.rms_um, heightfield.mean_slope, 500.0)
     assert heightfield.mean_slope == pytest.approx(2.0 * 0.2 / period)
     assert bound == pytest.approx(16.0 * math.pi**2 * 0.2**2 / 8.0 / (0.5 * period))
 
 
-def test_short_periods_are_all_wrong():
-    """Scalar theory takes 1 − J_0² from a mirror that has no other order to give it to."""
+def test_for_short_periods_the_error_bound_is_the_missing_power():
+    """For a sine, scalar theory removes 1 − J_0² from the mirror order, even if no other order propagates."""
     depth, wavelength = 0.01, 500.0
     heightfield = wd.gratings.sinusoidal(0.3, depth)
     orders = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
@@ -62,13 +62,13 @@ def test_the_mean_slope_does_not_depend_on_the_samples():
     assert sloped.mean_slope == pytest.approx(4.0 * 0.3 / 4.0, rel=1e-2)
 
 
-def test_a_flat_surface_is_right():
+def test_a_flat_surface_has_no_scalar_error():
     flat = wd.HeightField([[0.2, 0.2]], 1.0)
     assert flat.summary().scalar_error == 0.0
     assert "reliable at 550 nm: order efficiencies may be off by up to 0 %" in str(flat.summary())
 
 
-def test_summary_and_plan_say_it():
+def test_summary_and_plan_report_the_scalar_error():
     heightfield = wd.gratings.sinusoidal(2.0, 0.2)
     for text in (str(heightfield.summary()), str(wd.plan(heightfield)), str(wd.plan(heightfield, method="direct"))):
         assert (
@@ -79,7 +79,7 @@ def test_summary_and_plan_say_it():
     assert "reliable at 550 nm: order efficiencies may be off by up to 9.9 % of the" in scalar_error_text(0.0994)
 
 
-def test_a_plan_warns_where_nothing_is_right():
+def test_a_plan_warns_if_scalar_theory_is_invalid():
     heightfield = wd.gratings.lamellar(1.0, 0.5)
     with pytest.warns(wd.WarpdiffWarning, match=r"scalar diffraction is invalid at 550 nm: .*mean slope of 1:"):
         plan = wd.plan(heightfield, (0, 0, 1), (0, 0, 1))
@@ -94,12 +94,12 @@ def test_a_plan_warns_where_nothing_is_right():
      wd.gratings.disc("Blu-ray", tracks=4, length_um=4.0)],
     ids=["sine", "lamellar", "blazed", "fingers", "bumps", "CD", "Blu-ray"],
 )  # fmt: skip
-def test_usual_surfaces_are_not_warned_of(heightfield):
+def test_usual_surfaces_cause_no_warning(heightfield):
     assert 0.1 < heightfield.summary().scalar_error < SCALAR_INVALID
 
 
-def test_the_rule_holds_against_rigorous_solutions():
-    """Sines of a perfect mirror by boundary integrals, on both sides of the rule."""
+def test_the_error_bound_agrees_with_rigorous_solutions():
+    """The error bound is compared with rigorous solutions: boundary integrals for sines of a perfect mirror."""
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"]["Sine, perfect mirror"]["first_order_and_efficiencies"])
     errors, bounds = [], []
@@ -117,9 +117,9 @@ def test_the_rule_holds_against_rigorous_solutions():
     error, bound = np.array(errors), np.array(bounds)
     assert np.mean(error[bound <= 0.1] <= 0.1) > 0.98
     assert error[bound <= 0.1].max() < 0.13
-    # Gentle gratings are not only within the rule: there the scalar theory is right.
+    # Gratings with a very small error bound have a very small error.
     assert error[bound <= 1e-3].max() < 2e-3
-    # It is no rule that warns of everything.
+    # Most gratings with a small error also have a small error bound.
     assert np.mean(bound[error <= 0.1] <= 0.1) > 0.6
     assert np.mean(error[bound >= SCALAR_INVALID] > 0.1) > 0.9
 
@@ -129,8 +129,8 @@ def test_the_rule_holds_against_rigorous_solutions():
     ("Square grooves, perfect mirror", lambda *size: wd.gratings.lamellar(*size, samples=512)),
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
-def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, make):
-    """Where grooves are no deeper than a quarter of a wavelength; half of the rule holds for them."""
+def test_normalised_orders_of_mirrors_are_closer_to_rigorous_solutions(case, make):
+    """The grooves are at most a quarter of a wavelength deep. Normalised energy halves the error bound."""
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
     errors, bounds = [], []
@@ -138,7 +138,7 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
         for j, depth in enumerate(stored["depths"]):
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                # Some of them are enough here.
+                # Every third period and two depths of the stored cases suffice for this test.
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 heightfield = make(period, depth)
@@ -165,13 +165,13 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
      (1.0, 1e-6, r"more than the size of 1\.28e-05 µm; is the pitch in metres\?"),
      (25.0, 1.0, r"a mean slope of \d\.\d+; are heights in nanometres\?")],
 )  # fmt: skip
-def test_implausible_scales_are_warned_of(height_factor: float, pitch_factor: float, message: str) -> None:
+def test_implausible_scales_cause_a_warning(height_factor: float, pitch_factor: float, message: str) -> None:
     dy, dx = SCAN.pitch_um
     with pytest.warns(wd.WarpdiffWarning, match=message):
         wd.HeightField(SCAN.heights_um * height_factor, (dy * pitch_factor, dx * pitch_factor))
 
 
-def test_files_are_warned_of_and_what_is_made_of_them_is_not(tmp_path: Path) -> None:
+def test_only_loading_an_implausible_file_causes_a_warning(tmp_path: Path) -> None:
     np.save(tmp_path / "scan.npy", 1e-6 * SCAN.heights_um)
     with pytest.warns(wd.WarpdiffWarning, match="metres.*HeightField.of_known_scale") as caught:
         field = wd.HeightField.load(tmp_path / "scan.npy", extent_um=12.8)
@@ -180,13 +180,13 @@ def test_files_are_warned_of_and_what_is_made_of_them_is_not(tmp_path: Path) -> 
         assert made.height_range_um < 1e-4
 
 
-def test_surfaces_that_are_meant_are_not_warned_of() -> None:
+def test_plausible_and_explicitly_scaled_surfaces_cause_no_warning() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for flat in (0.0, 0.37, -1e-7):
             field = wd.HeightField(np.full((8, 8), flat), 0.05)
             wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # Rounding of a tilt that was subtracted.
+        # After subtraction of a tilt, heights may be as small as rounding errors, which is not suspicious.
         wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
         wd.HeightField([[0.2]], 0.05)
         for function, arguments in GRATINGS.values():

@@ -1,4 +1,4 @@
-"""Height fields: the class, cropping, orientation, and bad arguments."""
+"""Height fields: the class, cropping, orientation, and invalid arguments."""
 
 import math
 import weakref
@@ -12,7 +12,7 @@ from warpdiff import gratings
 from warpdiff.heightfield.field import HeightField
 
 
-def test_holds_a_read_only_copy() -> None:
+def test_a_height_field_has_a_read_only_copy_of_the_heights() -> None:
     heights = 0.1 * np.arange(6.0).reshape(2, 3)
     field = HeightField(heights, (0.5, 0.25))
     heights[0, 0] = 9.0
@@ -45,7 +45,7 @@ def test_range_rms_and_slope_have_closed_forms() -> None:
     assert HeightField([[1.0]], 1.0).rms_slope == 0.0
 
 
-def test_cropping_takes_the_samples_named() -> None:
+def test_cropping_selects_the_requested_samples() -> None:
     field = noise((20, 30), (0.1, 0.2))
     middle = field.cropped((1.0, 2.0))
     np.testing.assert_array_equal(middle.heights_um, field.heights_um[5:15, 10:20])
@@ -67,12 +67,12 @@ def test_flipping_reverses_one_axis() -> None:
 def test_rotation_is_counter_clockwise_seen_from_the_light() -> None:
     blaze = HeightField(gratings.blazed(2.0, 0.3, samples=8).heights_um, (0.5, 0.25))
     quarter = blaze.rotated()
-    # It rises along x, and then along y.
+    # The blazed grating rises along x, and after the rotation along y.
     np.testing.assert_array_equal(quarter.heights_um[:, 0], blaze.heights_um[0])
     assert (quarter.pitch_um, quarter.size_um) == ((0.25, 0.5), (2.0, 0.5))
     assert quarter.heights_um.flags.c_contiguous
     np.testing.assert_array_equal(blaze.rotated(2).heights_um, blaze.heights_um[:, ::-1])
-    # A sample at (x, y) moves to (-y, x).
+    # The rotation moves a sample at (x, y) to (−y, x).
     field = noise((3, 4))
     np.testing.assert_array_equal(field.rotated(1).heights_um[2], field.heights_um[::-1, 2])
     np.testing.assert_array_equal(field.rotated(-3).heights_um, field.rotated(1).heights_um)

@@ -1,4 +1,4 @@
-"""Samples without a height: kept apart, filled as stated, left alone by every step, and refused where light falls."""
+"""Missing samples of height fields: marked, filled accurately, ignored by cleaning, and refused by rendering."""
 
 from pathlib import Path
 
@@ -14,9 +14,9 @@ from warpdiff.heightfield import inpainting
 PITCH = (0.1, 0.08)
 SHAPE = (50, 60)
 Y, X = np.meshgrid(np.arange(SHAPE[0]) * PITCH[0], np.arange(SHAPE[1]) * PITCH[1], indexing="ij")
-# A disc away from the edges.
+# Missing samples: a disc away from the edges of the field.
 GAP = np.hypot(Y - 2.0, X - 2.6) < 0.75
-# Height that an instrument writes where it has no signal.
+# Invalid height in µm that an instrument writes for samples without a signal.
 NO_SIGNAL = 1000.0
 
 
@@ -38,13 +38,13 @@ def test_masked_and_nan_samples_are_missing() -> None:
         np.testing.assert_array_equal(field.heights_um[~GAP], heights[~GAP])
         assert field.height_range_um == np.ptp(heights[~GAP])
         assert field.rms_um == pytest.approx(np.std(heights[~GAP]))
-        # 2π · 0.05 / 2.4 and / 3.0 at most.
+        # The largest slopes of the waves are 2π · 0.05 / 2.4 and 2π · 0.05 / 3.0.
         assert 0.0 < field.mean_slope < 0.17
         assert 0.0 < field.rms_slope < 0.17
         assert f"{GAP.sum()} missing" in repr(field)
         assert f"missing           {GAP.sum()} samples" in str(field.summary())
     assert "missing" not in str(gratings.bumps().summary())
-    # Nothing masked is nothing missing, and integers may be masked as well.
+    # A mask without marked samples means that none is missing. Integer arrays can be masked, too.
     assert not wd.HeightField(np.ma.MaskedArray(heights), PITCH).missing.any()
     assert wd.HeightField(np.ma.MaskedArray([[1, 9999]], [[False, True]]), 1.0).height_range_um == 0.0
 
@@ -58,7 +58,7 @@ def test_no_heights_at_all_and_masks_elsewhere_are_refused() -> None:
         finite_array(np.ma.MaskedArray([0.0, 1.0, 1.0], [False, True, False]), "to_light")
 
 
-def test_a_filled_gap_errs_by_no_more_than_is_stated() -> None:
+def test_the_error_of_a_filled_gap_is_within_the_documented_bound() -> None:
     heights = waves()
     filled = gappy(heights).filled()
     assert not filled.missing.any()
@@ -73,7 +73,8 @@ def test_a_filled_gap_errs_by_no_more_than_is_stated() -> None:
 
 
 def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
-    # Half of the field, its edges among it, and single samples: means of their neighbours, by 1/pitch².
+    # Half of the field and some single samples are missing. Each becomes a mean of its neighbours, weighted by
+    # 1/pitch².
     gap = (Y > 3.0) | (np.random.default_rng(5).random(SHAPE) < 0.1)
     field = gappy(waves(), gap)
     filled = field.filled().heights_um
@@ -99,7 +100,7 @@ GAPS = {
 @pytest.mark.parametrize("name", GAPS)
 @pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 1.0), (3.0, 0.1)])
 def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, monkeypatch, rng) -> None:
-    # Conjugate gradients alone take some thousand.
+    # Conjugate gradients without the multigrid preconditioner would need more than 1000 steps.
     monkeypatch.setattr(inpainting, "_MOST_STEPS", 40)
     heights = np.where(GAPS[name], np.nan, 0.01 * rng.standard_normal(GAPS[name].shape))
     filled = wd.HeightField(heights, pitch).filled().heights_um
@@ -117,7 +118,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
     result = gappy(total).levelled(order)
     np.testing.assert_array_equal(result.missing, GAP)
     np.testing.assert_allclose(result.heights_um[~GAP], 0.0, atol=1e-12)
-    # The least-squares solution of the samples that are there, as a plain solver has it.
+    # Levelling with gaps equals the least-squares solution over the existing samples, from a plain solver.
     rough = gappy(waves() + total)
     terms = [X**i * Y**j for i in range(order + 1) for j in range(order + 1 - i)]
     matrix = np.stack([term[~GAP] for term in terms], axis=1)
@@ -127,7 +128,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:periodic")
-def test_despiking_and_making_periodic_leave_gaps() -> None:
+def test_despiking_and_making_periodic_preserve_gaps() -> None:
     grain = 0.6 * np.clip(1.0 - 4.0 * np.hypot(Y - 4.0, X - 0.8), 0.0, 1.0)
     dirty = gappy(waves() + grain)
     clean = dirty.despiked()
@@ -137,7 +138,7 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
     changed = (clean.heights_um != dirty.heights_um) & ~GAP
     assert changed[grain > 0.1].all()
     assert not changed[grain == 0.0].mean() > 0.02
-    # Edges without a gap alone tell the smooth part.
+    # The smooth part of the periodic decomposition depends only on edges without gaps.
     whole = wd.HeightField(waves(), PITCH).periodic()
     np.testing.assert_allclose(gappy(waves()).periodic().heights_um[~GAP], whole.heights_um[~GAP])
     np.testing.assert_array_equal(gappy(waves()).periodic().missing, GAP)
@@ -158,13 +159,13 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
                                      wd.View((0, 0, 5), (0, 0, 0)))],
     ids=["resampled", "plan", "reflectance", "order_efficiencies", "shade", "Renderer"],
 )  # fmt: skip
-def test_gaps_are_refused_where_light_falls(use) -> None:
+def test_gaps_are_refused_by_rendering_and_resampling(use) -> None:
     message = rf"heightfield must have all samples, but {GAP.sum()} of 3000 are missing.*fill them with filled\(\)"
     with pytest.raises(ValueError, match=message):
         use(gappy(waves()))
 
 
-def test_files_may_hold_nan(tmp_path: Path) -> None:
+def test_files_may_contain_nan(tmp_path: Path) -> None:
     np.save(tmp_path / "scan.npy", np.where(GAP, np.nan, waves()))
     np.testing.assert_array_equal(wd.HeightField.load(tmp_path / "scan.npy", pitch_um=PITCH).missing, GAP)
 

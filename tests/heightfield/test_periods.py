@@ -1,4 +1,4 @@
-"""Periods by harmonic fits, their errors, cuts to whole ones, and what making a patch periodic does to few of them."""
+"""Periods from harmonic fits, their standard errors, cropping to whole periods, and warnings about few periods."""
 
 import math
 import re
@@ -14,14 +14,14 @@ Y, X = np.meshgrid(np.arange(200) * PITCH, np.arange(200) * PITCH, indexing="ij"
 
 
 def grooves(period, *, degrees=0.0, height=0.572, noise=0.01, tilt=0.02, seed=0):
-    """A wafer's grooves with soft walls, noise and a tilt."""
+    """Return grooves of a wafer with soft walls, noise and a tilt."""
     along = X * math.cos(math.radians(degrees)) + Y * math.sin(math.radians(degrees))
     heights = 0.5 * height * np.tanh(4.0 * np.sin(2.0 * np.pi * along / period + 1.2)) + tilt * (X - 0.5 * Y)
     return wd.HeightField(heights + noise * np.random.default_rng(seed).normal(size=X.shape), PITCH)
 
 
 @pytest.mark.parametrize(("period", "degrees"), [(2.886, 0.0), (2.886, 20.0), (1.1, 70.0), (0.7, 90.0), (2.2, -35.0)])
-def test_periods_between_coefficients_are_found_to_their_error(period, degrees):
+def test_periods_between_coefficients_are_accurate_to_their_standard_error(period, degrees):
     field = grooves(period, degrees=degrees)
     result = field.periods(1)[0]
     assert abs(result.period_um - period) < 4.0 * result.standard_error_um < 0.01 * period
@@ -29,7 +29,7 @@ def test_periods_between_coefficients_are_found_to_their_error(period, degrees):
     assert result.share > 0.98
     assert not result.is_waviness
     assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
-    # Odd harmonics alone; the first lies between a sine's amplitude and a square wave's.
+    # The grooves have only odd harmonics, and a first amplitude between those of a sine and of a square wave.
     assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
     assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:
@@ -45,7 +45,7 @@ def test_a_summary_lists_no_waviness():
         assert "no feature repeats at least three times (field is one period)" in str(field.summary())
 
 
-def test_standard_errors_are_those_of_many_fits():
+def test_standard_errors_equal_the_deviation_of_many_fits():
     rng = np.random.default_rng(2)
     scores = []
     for _ in range(40):
@@ -57,21 +57,21 @@ def test_standard_errors_are_those_of_many_fits():
 
 
 @pytest.mark.parametrize("noise", [0.3, 2.0])
-def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise):
+def test_standard_errors_are_valid_in_strong_noise(noise):
     rng, x = np.random.default_rng(8), PITCH * np.arange(300)
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 60):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
         result = wd.HeightField(heights, PITCH).periods(1)[0]
         scores.append(abs(result.period_um - 1.37) / result.standard_error_um)
-    # Where a peak of the noise is higher, that is fitted instead.
+    # In some fields the noise has a higher peak than the wave, and the fit finds that peak.
     assert np.mean(np.array(scores) < 2.0) > 0.85
     assert 0.5 < np.median(scores) / 0.6745 < 1.5
 
 
 @pytest.mark.parametrize("seed", [87, 115])
-def test_a_fit_that_strays_in_strong_noise_still_gives_a_period(seed):
-    """Towards a part of a wave, which with a tilt fits anything."""
+def test_a_fit_that_diverges_in_strong_noise_still_gives_a_period(seed):
+    """In strong noise the fit can diverge to a fraction of a wave, which together with a tilt fits any field."""
     noise = np.fft.fft2(np.random.default_rng(seed).normal(size=(60, 80)))
     noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))
     noise = np.fft.ifft2(noise).real
@@ -87,7 +87,7 @@ def test_sums_of_waves_and_waviness_are_distinguished():
         + 0.1 * np.cos(2.0 * np.pi * X / 1.23)
         + 0.03 * np.sin(2.0 * np.pi * (X + Y) / 0.91)
     )
-    # A gap is no obstacle.
+    # Missing samples do not prevent the fit of periods.
     heights[60:90, 80:140] = np.nan
     waviness, strong, weak = wd.HeightField(heights, PITCH).periods()
     assert [period.is_waviness for period in (waviness, strong, weak)] == [True, False, False]
@@ -116,16 +116,16 @@ def test_flat_fields_have_no_period_and_one_row_has_one():
 def test_whole_periods_match_at_the_edges(degrees, shape):
     field = grooves(2.886, degrees=degrees, noise=0.0, tilt=0.0)
     cut = field.whole_periods()
-    # Three of 2.886 µm are 173.16 samples.
+    # Three periods of 2.886 µm are 173.16 samples.
     assert cut.shape == shape
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The first line after the cut matches the line at which the cut begins.
+    # The first line behind the cropped field equals the first line of the field.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1
-    # The change of periodic() is then small.
+    # The cropped field is nearly periodic, so ``periodic()`` changes it little.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert cut.periodic().height_range_um < 1.1 * cut.height_range_um
@@ -136,14 +136,14 @@ def test_a_field_without_a_period_is_not_cut():
         wd.HeightField(0.1 * np.cos(2.0 * np.pi * X / 7.0), PITCH).whole_periods()
 
 
-def test_making_few_periods_periodic_is_warned_of():
+def test_making_few_periods_periodic_causes_a_warning():
     field = grooves(2.886, tilt=0.0)
     with pytest.warns(wd.WarpdiffWarning, match=r"periodic\(\) changed heights by .* range from .* to .*whole_periods"):
         bent = field.periodic()
     assert bent.height_range_um > 1.2 * field.height_range_um
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # A rough surface of many grains has edges that do not match, and little else changes.
+        # The edges of a rough surface with many grains do not match, but ``periodic()`` changes its heights little.
         spectrum = np.fft.rfft2(np.random.default_rng(4).normal(size=(400, 400)))
         frequency = np.hypot(np.fft.fftfreq(400, PITCH)[:, None], np.fft.rfftfreq(400, PITCH))
         rough = np.fft.irfft2(spectrum * np.exp(-((0.5 * frequency) ** 2)), (400, 400))

@@ -1,4 +1,4 @@
-"""Files of heights: images, .npy, .npz with pitch, readers that a user registers, and damaged files."""
+"""Files of heights: images, .npy, .npz with a pitch, registered readers, and damaged files."""
 
 import math
 import warnings
@@ -109,15 +109,15 @@ def test_bad_files(tmp_path: Path, name: str, options: dict[str, Any], error: ty
     ids=["cut off", "a shape beyond int64"],
 )
 def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
-    """NumPy parses it as Python's text, and raises whatever its parser does."""
+    """NumPy parses the header of a .npy file as Python source, and can raise any error of the parser."""
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     with pytest.raises(ValueError, match=r"path: .*a\.npy' cannot be read as \.npy"):
         HeightField.load(path, pitch_um=0.1)
 
 
-def test_what_an_image_reader_says_may_be_no_text(tmp_path, monkeypatch):
-    """It cites a damaged file's own bytes."""
+def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch):
+    """The error message of the image reader can quote invalid bytes of a damaged file."""
 
     def said():
         return b"\xff".decode()
@@ -126,7 +126,7 @@ def test_what_an_image_reader_says_may_be_no_text(tmp_path, monkeypatch):
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
         HeightField.load(tmp_path / "a.png", pitch_um=0.1)
-    # OpenImageIO prints errors that were not read when the process ends.
+    # OpenImageIO prints unread errors at the end of the process, so the error is read here.
     monkeypatch.undo()
     oiio.geterror()
 
@@ -180,13 +180,13 @@ def test_saved_fields_are_restored_exactly(tmp_path: Path, make: Callable[[], He
     assert again.heights_um.tobytes() == field.heights_um.tobytes()
     assert (again.pitch_um, again.shape) == (field.pitch_um, field.shape)
     np.testing.assert_array_equal(again.missing, field.missing)
-    # An existing file is replaced, and no other file remains.
+    # Saving replaces an existing file, and no temporary file remains.
     noise((2, 2)).save(path)
     assert HeightField.load(path).shape == (2, 2)
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_files_of_others_may_state_one_pitch(tmp_path: Path) -> None:
+def test_archives_may_state_one_pitch_for_both_axes(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "a.npz", heights_um=np.zeros((2, 3), dtype=np.float32), pitch_um=0.25, unit="µm")
     assert HeightField.load(tmp_path / "a.npz").pitch_um == (0.25, 0.25)
 
@@ -204,7 +204,7 @@ def test_files_of_others_may_state_one_pitch(tmp_path: Path) -> None:
     ({"heights_um": [[0.1]], "pitch_um": [1.0, 2.0, 3.0]}, "pitch_um must be one number or a pair"),
     ({"heights_um": [[0.1]], "pitch_um": ["a", "b"]}, r"pitch_um\[0\] must be a number, got str"),
 ])  # fmt: skip
-def test_archives_of_something_else_are_refused_by_their_path(tmp_path: Path, arrays: Any, message: str) -> None:
+def test_archives_without_valid_heights_are_refused_by_their_path(tmp_path: Path, arrays: Any, message: str) -> None:
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(ValueError, match=rf"^path: .*a\.npz'.* {message}"):
         HeightField.load(tmp_path / "a.npz")
@@ -229,7 +229,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
         except ValueError as error:
             refused += str(error).startswith(f"path: '{damaged}'")
         else:
-            # The damage was elsewhere, for example in a time: the numbers have a checksum.
+            # The damage changed only metadata of the archive, such as a time. The heights are protected by a checksum.
             np.testing.assert_array_equal(again.heights_um, field.heights_um)
             refused += 1
     assert refused == 300
@@ -247,7 +247,7 @@ def test_bad_paths_of_save(tmp_path: Path, name: str | None, error: type[Excepti
 
 
 @pytest.mark.parametrize("options", [{"pitch_um": 0.1}, {"extent_um": (1.0, 2.0)}])
-def test_a_file_with_a_pitch_needs_no_other(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_a_file_with_a_pitch_accepts_no_other_pitch(tmp_path: Path, options: dict[str, Any]) -> None:
     noise((2, 2)).save(tmp_path / "a.npz")
     with pytest.raises(ValueError, match=rf"^{next(iter(options))} must not be given: .*a\.npz' states its own pitch"):
         HeightField.load(tmp_path / "a.npz", **options)

@@ -1,4 +1,4 @@
-"""Files of pictures, read back through OpenImageIO."""
+"""Files of pictures, written by ``Image.save`` and read back through OpenImageIO."""
 
 import contextlib
 import dataclasses
@@ -12,7 +12,7 @@ import sys
 import types
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from endurance import count
 from PIL import Image, ImageShow
@@ -24,20 +24,20 @@ from warpdiff.optics import colorimetry
 
 ROW = "pictures saved on full disks, under file size limits, interrupted"
 HEIGHT, WIDTH = 5, 7
-# Row 0 is background, row 1 is partly covered, the rest is full.
+# Test coverage: row 0 is background, row 1 is partly covered, and all other rows are completely covered.
 COVERAGE = np.array([0.0, 0.25, 1.0, 1.0, 1.0], np.float32)[:, None] * np.ones((1, WIDTH), np.float32)
 ERROR = np.linspace(0.0, 0.1, COVERAGE.size, dtype=np.float32).reshape(COVERAGE.shape)
 
 
 @pytest.fixture(scope="module")
 def plan() -> wd.Plan:
-    """Any plan."""
+    """Return the plan of a flat height field; its numbers do not matter here."""
     return wd.plan(wd.HeightField(np.zeros((8, 8)), 0.05))
 
 
 @pytest.fixture
 def image(plan, rng) -> wd.Image:
-    """Colours in and out of gamut, premultiplied by coverage."""
+    """Return a picture with colours inside and outside of the gamut, premultiplied by the coverage."""
     rgb = rng.uniform(0.0, 2.0, (HEIGHT, WIDTH, 3))
     rgb[3, 3] = (-0.25, 0.5, 0.125)
     xyz = (colorimetry.rgb_to_xyz(rgb) * COVERAGE[..., None]).astype(np.float32)
@@ -55,7 +55,7 @@ def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
 
 
 def straight_alpha() -> oiio.ImageSpec:
-    """Asks the PNG reader not to multiply colours by alpha, as it otherwise does."""
+    """Return settings that prevent the PNG reader from multiplying colours by alpha."""
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     return config
@@ -76,7 +76,7 @@ def test_exr_is_exact(image, tmp_path):
     np.testing.assert_allclose(pixels[3, 3, :3], (-0.25, 0.5, 0.125), atol=1e-6)
 
 
-def test_exr_is_scaled_where_asked(image, tmp_path):
+def test_exr_is_scaled_by_an_explicit_exposure(image, tmp_path):
     pixels = read(image.save(str(tmp_path / "a.EXR"), exposure=0.5))[1]
     np.testing.assert_array_equal(pixels[..., :3], image.rgb * np.float32(0.5))
     np.testing.assert_array_equal(pixels[..., 4:7], image.xyz * np.float32(0.5))
@@ -88,7 +88,7 @@ def test_exr_is_scaled_where_asked(image, tmp_path):
 @pytest.mark.parametrize("suffix", ["exr", "png"])
 def test_metadata(image, suffix, tmp_path):
     spec, _ = read(image.save(tmp_path / f"a.{suffix}", exposure=2.5))
-    # OpenImageIO adds its own name after ours in some formats.
+    # In some formats OpenImageIO appends its own name to that of the package.
     assert spec.getattribute("Software").startswith("warpdiff")
     assert spec.getattribute("ImageDescription") == f"{image.plan}\n\n{image.report}"
     if suffix == "exr":
@@ -103,18 +103,18 @@ def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     assert pixels.dtype == dtype
     levels = 2**bits - 1
     np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
-    assert not pixels[0].any(), "the background is to be transparent"
-    # IEC 61966-2-1, written out again; colours in PNG are not multiplied by alpha.
-    # Automatic exposure gives the mean 0.7 for ACES, and a half for others.
+    assert not pixels[0].any(), "the background must be transparent"
+    # The test computes sRGB by IEC 61966-2-1; PNG colours are not multiplied by alpha. Automatic exposure maps the mean
+    # luminance to 0.7 for ACES and to 0.5 for other displays.
     exposure = exposure or image.auto_exposure * 0.5 / 0.7
     linear = exposure * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
     linear = np.clip(linear, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     assert np.max(np.abs(pixels[1:, :, :3] - encoded * levels)) <= 0.5 + 1e-3
-    assert pixels[3, 3, 0] == 0, "negative components are to be clipped"
+    assert pixels[3, 3, 0] == 0, "negative components must be clipped"
 
 
-def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, rng):
+def test_automatic_exposure_maps_the_mean_of_illuminated_pixels_to_0_7(plan, rng):
     luminance = rng.uniform(0.1, 9.0, (200, 250))
     mask = rng.random(luminance.shape) < 0.5
     dark = mask & (rng.random(luminance.shape) < 0.2)
@@ -131,18 +131,18 @@ def test_automatic_exposure_maps_the_mean_of_lit_pixels_to_what_fits_aces(plan, 
     illuminated = luminance[mask & ~dark]
     usual = exposure()
     assert np.mean(illuminated * usual) == pytest.approx(0.7, rel=1e-3)
-    # A mirror's highlight in a ten-thousandth of them changes nothing, ...
+    # A mirror highlight in 1/10,000 of the illuminated pixels does not change the exposure.
     brightest = np.flatnonzero((mask & ~dark).ravel())[: len(illuminated) // 10_000]
     luminance.ravel()[brightest] = 1e6
     assert exposure() == pytest.approx(usual, rel=1e-3)
-    # ... and an order in a two-hundredth, where all else is dark, is what is exposed for.
+    # Bright orders in 1/200 of the pixels determine the exposure if all other pixels are dark.
     luminance[luminance > 0.0] = 1e-9
     orders = np.flatnonzero((mask & ~dark).ravel())[::200]
     luminance.ravel()[orders] = 2.0
     assert 2.0 * exposure() == pytest.approx(0.7 * 200.0, rel=0.05)
 
 
-def test_a_black_picture_is_saved_as_one(plan, tmp_path):
+def test_a_black_picture_is_saved_as_black(plan, tmp_path):
     nothing = np.zeros((2, 3), np.float32)
     image = wd.Image(
         xyz=np.zeros((2, 3, 3), np.float32), mask=nothing > 0.0, illuminated=nothing > 0.0, coverage=nothing,
@@ -158,7 +158,7 @@ def test_exr_is_linear_whatever_the_display(image, tmp_path):
     np.testing.assert_array_equal(*(read(path)[1] for path in paths))
 
 
-def test_png_is_what_is_displayed_and_says_how(image, tmp_path):
+def test_png_contains_the_displayed_colours_and_the_name_of_the_transform(image, tmp_path):
     for display in ("aces", "colorimetric", "clip"):
         spec, pixels = read(image.save(tmp_path / "a.png", display=display, exposure_stops=-1.0))
         np.testing.assert_array_equal(pixels, np.round(255.0 * image.display(display, exposure_stops=-1.0)))
@@ -167,7 +167,7 @@ def test_png_is_what_is_displayed_and_says_how(image, tmp_path):
         assert display in transform.lower(), transform
 
 
-def test_display_p3_is_said_by_a_chunk_of_the_png(image, tmp_path):
+def test_display_p3_is_marked_by_a_chunk_of_the_png(image, tmp_path):
     path = image.save(tmp_path / "a.png", gamut="display-p3")
     assert b"cICP" + bytes([12, 13, 0, 1]) in path.read_bytes()
     assert b"cICP" not in image.save(tmp_path / "a.png").read_bytes()
@@ -180,7 +180,7 @@ def test_exposures_in_stops_and_from_another_picture(image):
     np.testing.assert_array_equal(brighter.display(exposure=0.5), brighter.display(exposure=2.0, exposure_stops=-2.0))
 
 
-def test_a_picture_that_is_all_but_black_is_shown(plan, tmp_path):
+def test_a_very_dark_picture_is_exposed(plan, tmp_path):
     xyz = np.full((2, 2, 3), 1e-14, np.float32)
     whole = np.ones((2, 2), np.float32)
     dim = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
@@ -199,7 +199,7 @@ def test_a_background_is_mixed_in_linear_light(image, tmp_path):
     np.testing.assert_allclose(over[2:], encoded[2:, :, :3], atol=1e-6)
     mixed = 0.25 * colorimetry.srgb_decode(encoded[1, :, :3]) + 0.75 * colorimetry.srgb_decode(behind)
     np.testing.assert_allclose(over[1], colorimetry.srgb_encode(mixed), atol=1e-6)
-    # A picture behind is shown alike: over itself it covers 1 - (1 - 0.25)² of where it covers a quarter.
+    # A picture with a coverage of 0.25 over a copy of itself has a total coverage of 1 − (1 − 0.25)².
     itself = colorimetry.srgb_decode(image.display("clip", background=image)[1])
     np.testing.assert_allclose(itself, (1.0 - 0.75**2) * colorimetry.srgb_decode(encoded[1, :, :3]), atol=1e-5)
     spec, pixels = read(image.save(tmp_path / "a.png", display="clip", background=behind))
@@ -222,13 +222,13 @@ def test_files_are_replaced_and_have_the_usual_permissions(image, name, tmp_path
 
 
 class FailingOutput:
-    """A writer of OpenImageIO that fails at one of its steps."""
+    """Stand-in for a writer of OpenImageIO that fails at one of its steps."""
 
     def __init__(self, at: str) -> None:
         self._at = at
 
     def open(self, name, _spec) -> bool:
-        with open(name, "wb") as file:  # noqa: PTH123 (as a writer would)
+        with open(name, "wb") as file:  # noqa: PTH123 (as a native writer does)
             file.write(b"half a picture")
         return self._at != "open"
 
@@ -262,10 +262,10 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
 
 @contextlib.contextmanager
 def largest_file(size):
-    """Makes writing fail beyond so many bytes of a file, as on a full disk; what reports the tests writes files too."""
-    resource = pytest.importorskip("resource", reason="limits of a file's size are POSIX")
+    """Limit the size of written files, as a full disk does. The limit is lifted before the test report is written."""
+    resource = pytest.importorskip("resource", reason="file size limits require POSIX")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # Python ignores SIGXFSZ, so that writes fail instead.
+    # Python ignores the signal SIGXFSZ, so writing beyond the limit fails with an error.
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
@@ -274,7 +274,7 @@ def largest_file(size):
 
 
 def cannot_save(image, folder, name, *, message="cannot write", **options):
-    """Check that saving says so, over an old file or none, and leaves nothing else behind."""
+    """Check that saving raises an error, with or without an existing file, and leaves all files unchanged."""
     for old in ({}, {name: b"precious"}):
         for file, content in old.items():
             (folder / file).write_bytes(content)
@@ -285,7 +285,7 @@ def cannot_save(image, folder, name, *, message="cannot write", **options):
 
 @pytest.mark.permanent(ROW)
 @pytest.mark.parametrize(("name", "bits"), [("a.exr", 8), ("a.png", 8), ("a.png", 16)])
-def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, capfd, tries):
+def test_saving_a_truncated_file_is_an_error(image, name, bits, tmp_path, capfd, tries):
     size = image.save(tmp_path / name, bits=bits).stat().st_size
     for most in tries.of({*range(8, size, count(397, 7)), *range(size - 14, size)}):
         (tmp_path / name).unlink()
@@ -298,7 +298,7 @@ def test_a_file_cut_off_anywhere_is_no_success(image, name, bits, tmp_path, capf
 
 @pytest.mark.permanent(ROW)
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])
-def test_a_file_system_that_allocates_late_is_heard(image, name, tmp_path, monkeypatch):
+def test_errors_of_file_systems_that_allocate_late_are_reported(image, name, tmp_path, monkeypatch):
     def full(_handle):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -308,26 +308,26 @@ def test_a_file_system_that_allocates_late_is_heard(image, name, tmp_path, monke
 
 @pytest.mark.permanent(ROW)
 @pytest.mark.parametrize("name", ["a.exr", "a.png"])
-def test_a_full_disk_is_said(plan, rng, name, tmp_path):
+def test_a_full_disk_is_reported(plan, rng, name, tmp_path):
     shape = (64, 64)
     xyz = rng.random((*shape, 3), dtype=np.float32)
     whole = np.ones(shape, np.float32)
     image = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     mount = ["mount", "-t", "tmpfs", "-o", "size=8k", "tmpfs", str(tmp_path)]
     if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small file system cannot be mounted here; that takes root")
+        pytest.skip("mounting a small file system requires root")
     try:
         cannot_save(image, tmp_path, name)
     finally:
-        subprocess.run(["umount", str(tmp_path)], check=True)  # noqa: S607 (as mount was found)
+        subprocess.run(["umount", str(tmp_path)], check=True)  # noqa: S607 (the path of the mount command above)
 
 
-def test_the_umask_is_left_alone(image, tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("another thread's files would get this umask"))
+def test_saving_does_not_change_the_umask(image, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "umask", lambda _mask: pytest.fail("the umask of the process is changed"))
     image.save(tmp_path / "a.png")
 
 
-def test_a_folder_is_no_picture(image, tmp_path):
+def test_a_folder_as_path_is_refused(image, tmp_path):
     (tmp_path / "a.png").mkdir()
     with pytest.raises(IsADirectoryError, match=r"path must be a file, got the folder '.*a\.png'; name a file in it"):
         image.save(tmp_path / "a.png")
@@ -373,7 +373,7 @@ def test_a_picture_is_read_from_its_exr_file(image, tmp_path):
      ("bytes.exr", ValueError, r"path: '.*bytes\.exr' cannot be read as an image"),
      ("cut.exr", ValueError, r"path: '.*cut\.exr' (is damaged|cannot be read)")],
 )  # fmt: skip
-def test_other_files_are_no_pictures(image, name, error, message, tmp_path, capfd):
+def test_files_that_are_not_pictures_are_refused(image, name, error, message, tmp_path, capfd):
     image.save(tmp_path / "a.png")
     (tmp_path / "text.exr").write_text("no picture")
     content = image.save(tmp_path / "a.exr").read_bytes()
@@ -392,7 +392,7 @@ def test_a_picture_is_compared_by_identity_and_described_in_one_line(image):
     assert repr(dark) == "Image(7 × 5 pixels, 0 % illuminated)"
 
 
-def test_notebooks_and_viewers_show_what_a_png_file_holds(image, tmp_path, monkeypatch):
+def test_notebooks_and_viewers_show_the_pixels_of_a_png_file(image, tmp_path, monkeypatch):
     pixels = read(image.save(tmp_path / "a.png"))[1]
     np.testing.assert_array_equal(Image.open(io.BytesIO(image._repr_png_())), pixels)
     pictures = []
@@ -402,7 +402,7 @@ def test_notebooks_and_viewers_show_what_a_png_file_holds(image, tmp_path, monke
     monkeypatch.setattr(ImageShow, "show", lambda *_args, **_: False)
     with pytest.raises(RuntimeError, match=r"no viewer of PNG files .*save the picture"):
         image.show()
-    # In a notebook IPython shows it.
+    # In a notebook, ``show`` displays the picture by IPython.
     notebook = types.SimpleNamespace(
         get_ipython=lambda: types.SimpleNamespace(kernel=True), display=types.SimpleNamespace(display=pictures.append)
     )

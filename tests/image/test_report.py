@@ -1,4 +1,4 @@
-"""Reports: shares and verdict from the errors of pixels."""
+"""Reports of pictures: shares of converged pixels, and a verdict computed from the errors of the pixels."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def test_edges_may_have_three_times_the_error():
     assert not report(0.05, 0.6).is_converged
 
 
-def test_the_verdict_names_what_it_judges():
-    """It names shares: the 99th percentile may exceed the tolerance, as errors at edges may be three times as large."""
+def test_the_verdict_names_the_shares_of_unconverged_pixels():
+    """The verdict names shares of pixels, because errors at edges may be three times the tolerance."""
     met = report(0.05, 0.3)
     assert met.errors[1] > met.tolerance
     assert met.verdict == (
@@ -34,7 +34,7 @@ def test_the_verdict_names_what_it_judges():
     assert report(0.3, 0.1).verdict.startswith("The picture does not meet its tolerance of 0.1 everywhere")
 
 
-def test_nothing_is_promised_without_refinement():
+def test_unrefined_pictures_have_no_shares_of_unconverged_pixels():
     unrefined = report(0.3, 0.3, refined=False)
     assert unrefined.verdict.startswith("Pixels were not refined: 99 % of the illuminated pixels")
     assert (unrefined.unconverged_share, unrefined.unconverged_edge_share) == (0.0, 0.0)
@@ -42,7 +42,9 @@ def test_nothing_is_promised_without_refinement():
 
 def test_errors_are_percentiles_of_illuminated_pixels():
     error = np.arange(1000, dtype=np.float32).reshape(20, 50)
-    lit = error < 101.0
-    result = report_of(error, lit, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
+    illuminated = error < 101.0
+    result = report_of(error, illuminated, None, tolerance=0.1, refined_share=0.0, light_sample_count=3)
     assert result.errors == pytest.approx((50.0, 99.0))
-    assert report_of(error, lit & False, None, tolerance=0.1, refined_share=0.0, light_sample_count=3).errors == (0, 0)
+    assert report_of(
+        error, illuminated & False, None, tolerance=0.1, refined_share=0.0, light_sample_count=3
+    ).errors == (0, 0)

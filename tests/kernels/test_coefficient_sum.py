@@ -1,4 +1,4 @@
-"""Sums over wavelengths and coefficients: interpolated reflectances, and replicated periods."""
+"""Sums over wavelengths and Fourier coefficients: interpolated reflectances of materials, and replicated periods."""
 
 import numpy as np
 import warp as wp
@@ -39,7 +39,7 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """Between entries, and at the ends of either axis."""
+    """Compare interpolated reflectances with the exact bilinear function, also at both ends of each axis."""
 
     def reflectance(row, column):
         return 0.1 + 0.05 * row + 0.02 * column + 0.01 * row * column

@@ -1,4 +1,4 @@
-"""The native look-ups give what plain Warp kernels give, pixel by pixel."""
+"""The native table look-ups give the same colours as their reference implementation in plain Warp."""
 
 import dataclasses
 
@@ -19,12 +19,12 @@ COUNT = 3000
 
 
 def directions(rng):
-    """Deflections, a third of them close to the mirror direction, directions to the light, gains and footprints."""
+    """Return scattering vectors (a third near the mirror direction), directions to the light, gains and footprints."""
     to_lights, to_views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
     to_views[::3] = to_lights[::3] * [-1.0, -1.0, 1.0] + 0.02 * rng.normal(size=(COUNT // 3, 3))
     to_views /= np.linalg.norm(to_views, axis=1, keepdims=True)
     gains = rng.random(COUNT) * (rng.random(COUNT) > 0.1)
-    # Narrow ones, and some that go all the way round.
+    # The test footprints vary from narrow ones to some that include all azimuths.
     footprints = rng.normal(size=(COUNT, 4)) * 10.0 ** rng.uniform(-4.0, -0.5, size=(COUNT, 1))
     return -(to_lights + to_views), to_lights, gains, footprints
 
@@ -33,7 +33,7 @@ def directions(rng):
 @pytest.mark.parametrize(
     "coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)], ids=lambda c: c.kind
 )
-def test_native_look_ups_equal_those_of_the_specification(coherence, footprints_are_given, rng):
+def test_native_look_ups_equal_the_reference_implementation(coherence, footprints_are_given, rng):
     heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
     scattering_vectors, to_lights, gains, footprints = directions(rng)
     plan = wd.plan(heightfield, coherence=coherence, method="low-rank", integration="table", tolerance=1e-1)
@@ -63,10 +63,10 @@ def test_native_look_ups_equal_those_of_the_specification(coherence, footprints_
         results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
-    # Where rounding decides.
+    # Rounding can decide whether a direction near the limit of the table is looked up or sampled.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Fractions between azimuth samples and between rings are rounded to the 64 steps of a table.
+    # Native look-ups round fractions between azimuth samples and between rings to 64 steps.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -1,4 +1,4 @@
-"""CUDA: every kernel compiles for sm_90 on a machine without a GPU, and with one computes what the CPU does."""
+"""CUDA: every kernel compiles for sm_90 without a GPU. With a GPU, kernels give the same results as on the CPU."""
 
 import dataclasses
 import re
@@ -24,12 +24,12 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# Ampere, too, for what every frame launches.
+# Kernels that every picture launches are also compiled for the Ampere architecture (sm_80).
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
-# Modules of functions alone are compiled with the kernels that call them.
+# Kernel modules that contain only functions are compiled together with the kernels that call them.
 FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
-# Numbers that hosts need, too.
+# Modules of constants that are also used by code without Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
     "bvh": {"trace_bvh"},
@@ -47,7 +47,7 @@ KERNELS = {
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
-# Rows of powers or of amplitudes, as each form has them.
+# Number of terms, coherence model, and whether the table rows are powers (True) or amplitudes (False).
 FORMS = [
     (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
     slow(24, "source", False), slow(24, "replicas", False),
@@ -56,24 +56,24 @@ FORMS = [
 
 @pytest.fixture(scope="module", autouse=True)
 def compiler():
-    """Warp's compiler for CUDA, which its packages for Linux and Windows carry."""
+    """Skip the tests if this build of Warp has no CUDA compiler; Warp's packages for Linux and Windows contain it."""
     wp.config.log_level = wp.LOG_ERROR
     wp.init()
     missing = set(SMS) - set(wp.get_cuda_supported_archs())
     if missing:
-        pytest.skip(f"this build of Warp carries no CUDA compiler for sm_{missing.pop()}")
+        pytest.skip(f"this build of Warp has no CUDA compiler for sm_{missing.pop()}")
 
 
 @pytest.fixture
 def cuda() -> str:
-    """The first CUDA device."""
+    """Return the name of the first CUDA device; skip the test if none exists."""
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     return "cuda"
 
 
 def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
-    """PTX of a Python module's kernels, or of a Warp module."""
+    """Return the PTX of the kernels of a Python module or of a Warp module."""
     paths = wp.compile_aot_module(module, device=None, arch=arch, module_dir=folder, use_ptx=True)
     assert [path.suffix for path in paths] == [".ptx"]
     ptx = Path(paths[0]).read_text()
@@ -82,19 +82,19 @@ def compile_to_ptx(module, folder: Path, arch: int = SM) -> str:
 
 
 def entry_points(ptx: str) -> set[str]:
-    """Names of the kernels in PTX, without their hashes and their enclosing function's name."""
+    """Return the names of the kernels in PTX, without hashes and without the name of the enclosing function."""
     entries = re.findall(r"\.visible \.entry (\w+)_[0-9a-f]+_cuda_kernel_forward", ptx)
-    assert "_cuda_kernel_backward" not in ptx, "enable_backward is to be off"
+    assert "_cuda_kernel_backward" not in ptx, "kernels must have enable_backward=False"
     return {name.rpartition("locals__")[2] for name in entries}
 
 
-def test_every_kernel_module_is_compiled_here():
+def test_every_kernel_module_is_listed_in_this_file():
     folder = Path(kernels.__file__).parent
     names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
-    assert names == set(KERNELS) | FUNCTIONS_ONLY | WITHOUT_WARP, "a kernel module was added: compile it here"
+    assert names == set(KERNELS) | FUNCTIONS_ONLY | WITHOUT_WARP, "list new kernel modules in this file"
     for name in names:
         declared = re.findall(r"@wp\.kernel.*\n\s*def (\w+)", (folder / f"{name}.py").read_text())
-        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: a kernel was added: list it here"
+        assert set(declared) == KERNELS.get(name, set()), f"kernels/{name}.py: list new kernels in this file"
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
@@ -110,8 +110,9 @@ def test_modules_compile(module, arch, tmp_path):
 def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, powers, tmp_path):
     ptx = compile_to_ptx(getattr(coefficient_sum.kernels(lanes, form, powers), name).module, tmp_path)
     assert entry_points(ptx) == {name}
-    # A basis indexed by a variable would live in local memory, which PTX shows; what ptxas spills does not. The seven
-    # words are those of CUDA's sine for large arguments, which the copies' factor never has.
+    # A basis indexed by a variable would use local memory, which PTX declares. Register spills are not visible in PTX.
+    # The
+    # 28 bytes belong to CUDA's sine of large arguments; the interference factor of replicas never has such arguments.
     depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
     assert depots == (["28"] if form == "replicas" else [])
 
@@ -142,7 +143,7 @@ def test_kernels_that_fill_a_table_compile(lanes, powers, nodes, tmp_path):
      wd.Coherence("replicas", periods=(2, 5))],
     ids=lambda item: item.kind,
 )  # fmt: skip
-def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
+def test_reflectance_equals_that_of_the_cpu(coherence, cuda, rng):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     plan = wd.plan(heightfield, coherence=coherence)
@@ -151,7 +152,7 @@ def test_reflectance_is_that_of_the_cpu(coherence, cuda, rng):
     assert np.max(relative_errors(result, expected)) < 1e-3
 
 
-def test_shade_is_that_of_the_cpu(cuda):
+def test_shade_equals_that_of_the_cpu(cuda):
     mesh = wd.meshes.tube(segments_along=64, segments_around=32)
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     coherence = wd.Coherence(sigma_um=3.25)
@@ -159,7 +160,7 @@ def test_shade_is_that_of_the_cpu(cuda):
     view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
     expected = wd.shade(mesh, heightfield, light, view, coherence=coherence)
     result = wd.shade(mesh, heightfield, light, view, device=cuda, plan=expected.plan)
-    # A ray that grazes an edge may fall on either side of it.
+    # Rounding decides whether a ray through the edge of a face hits the face, so some pixels may differ.
     assert np.mean(result.mask != expected.mask) < 0.01
     both = result.mask & expected.mask
     assert np.percentile(relative_errors(result.xyz[both], expected.xyz[both]), 99.0) < 1e-2

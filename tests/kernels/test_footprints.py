@@ -1,4 +1,4 @@
-"""Footprints: a pixel shows the mean of what its filter sees, as the same picture of many rays a pixel does."""
+"""Footprints: the colour of a pixel is the mean over its filter, compared with pictures of many rays per pixel."""
 
 import dataclasses
 
@@ -40,7 +40,7 @@ def view():
 
 @pytest.fixture(scope="module")
 def pictures(tube, fingers):
-    """With footprints, with points, and with many points."""
+    """Return a picture with footprints, one with a point per pixel, and a reference with 400 points per pixel."""
     blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
     plan = dataclasses.replace(blurred.plan, footprint=False)
     points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
@@ -49,36 +49,36 @@ def pictures(tube, fingers):
 
 
 def errors(image, exact):
-    """Return errors of pixels that lie wholly inside the illuminated surface."""
+    """Return relative errors of the pixels that are completely inside the illuminated surface."""
     inside = (exact.coverage == 1.0) & image.illuminated
     return relative_errors(image.xyz[inside], exact.xyz[inside])
 
 
 def to_first_order(spreads):
-    """Footprints of spreads along rows and columns, (n, 4)."""
+    """Return footprints (n, 4): the change of (u, v) along picture rows and columns."""
     return wp.array(spreads, dtype=Footprint, device="cpu")
 
 
-def test_it_is_on_where_it_is_not_said(pictures):
+def test_footprints_are_used_by_default(pictures):
     blurred, points, _ = pictures
     assert blurred.plan.footprint
     assert "mip levels for footprints" in str(blurred.plan)
     assert not points.plan.footprint
 
 
-def test_a_pixel_shows_its_mean(pictures):
+def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # So few pixels see (u, v) turn by a tenth of themselves and more; larger pictures are judged in bench/.
+    # In so small a picture, the azimuth of (u, v) changes by 0.1 or more per pixel, which limits the accuracy.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
 
 
 @pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
-def test_rays_are_a_circle(fingers, angle_deg):
-    """A full turn meets what a turn begins with, however wide the footprint."""
+def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
+    """Azimuth samples are periodic: colours are continuous at an azimuth of 0, however wide the footprint is."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
@@ -98,16 +98,16 @@ def test_rays_are_a_circle(fingers, angle_deg):
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
-    """Look-ups of a run are computed abreast, and where a run begins depends on the number of threads.
+    """Look-ups are computed in SIMD batches, and batches begin elsewhere with another number of threads.
 
-    What compilers leave over from vectors they round otherwise: one of two thousand took another row or weight then.
+    Compilers once rounded the remainder of a batch differently, which changed the table row of 1 in 2000 look-ups.
     """
     plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
     plan = dataclasses.replace(plan, footprint=True)
     lookup = ColourLookup(fingers, plan, plan.direction_range, device=device, threads=1)
     count = 100_000
-    # Any of these runs has a last one that is not whole.
+    # The number of look-ups is not a multiple of the tested batch sizes, so the last batch is incomplete.
     runs = (256, 1, 7, 61)
     uv, w = rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-1.9, -0.5, count)
     scattering_vectors = np.column_stack([uv, w])
@@ -130,7 +130,7 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
 
 
 def colours(heightfield, plan, direction_range, uv, footprints):
-    """XYZ at (u, v), (n, 2), by a plan whose table is for a scope."""
+    """Return XYZ at (u, v), shape (n, 2), from the table of a plan."""
     device = wp.get_device("cpu")
     xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
     scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
@@ -144,8 +144,8 @@ def colours(heightfield, plan, direction_range, uv, footprints):
     ("widest", "turn", "median", "most"),
     [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
 )
-def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
-    """Footprints are lines, along and aslant. Wide ones use fewer nodes and have a skew."""
+def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn, median, most):
+    """Footprints are lines in radial and oblique directions. Wide footprints use fewer rings and have a skewness."""
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
     sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
@@ -167,8 +167,8 @@ def test_means_are_those_of_points(fingers, rng, widest, turn, median, most):
 
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
-def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers, rng, distance):
-    """Distances are in standard deviations. Footprints around the mirror direction have no range of angles."""
+def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
+    """Footprints at 0 to 3 standard deviations from the mirror direction include all azimuths."""
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
     plan = wd.plan(heightfield, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -190,9 +190,9 @@ def test_means_around_the_mirror_direction_are_those_of_points(surface, fingers,
 
 
 def test_a_wide_footprint_weighs_each_ring_by_its_area():
-    """The mean of a Gaussian over the normal distribution of a footprint, both around the mirror direction.
+    """Compute the mean of a narrow Gaussian over a wide one, both centred on the mirror direction.
 
-    A narrow Gaussian lies on the innermost rings, which are twice as far apart as others.
+    A narrow Gaussian depends on the innermost rings, which have twice the spacing of the other rings.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)
@@ -222,7 +222,7 @@ def test_a_wide_footprint_weighs_each_ring_by_its_area():
 
 
 def seen_by(surface, view, light, face, column, row, *, smooth):
-    """(u, v) where rays through places in the picture meet the planes of faces, in float64, (n, 2)."""
+    """Return (u, v), shape (n, 2), in float64 where camera rays through picture positions meet the planes of faces."""
     frame = view.frame()
     x = (2.0 * column / view.width - 1.0) * frame.half_width
     y = (1.0 - 2.0 * row / view.height) * frame.half_height
@@ -245,9 +245,9 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
 def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
-    """On the face that was hit, against differences of rays that meet its plane a little aside.
+    """Compare footprints with finite differences of (u, v) between rays that meet the plane of the same face.
 
-    Between sheared tangents of a coarse mesh, tangents are not perpendicular to normals.
+    A coarse mesh with sheared tangents is included, because its tangents are not perpendicular to its normals.
     """
     size = {"width": 48, "height": 36}
     camera = {
@@ -276,17 +276,17 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
-    # Where the normal is turned to the viewer, slopes have a kink.
+    # Near grazing view, normals are tilted towards the viewer, so the slopes of (u, v) are discontinuous.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200
-    # The arrays hold −u and −v.
+    # The kernel stores footprints of −u and −v, so only absolute values are compared.
     size = np.linalg.norm(expected[facing], axis=1, keepdims=True)
     error = np.abs(np.abs(result.numpy()[hit][facing]) - np.abs(expected[facing])) / size
     assert np.percentile(error, 99) < 2e-3
 
 
-def test_nodes_are_skipped_under_smooth_lights_alone():
+def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     per_log = 32.0 / np.log(2.0)
     assert all(colour_table._is_smooth(IlluminatedMaterial(name), per_log) for name in ("D65", "D50", "A", "E"))
     assert not any(colour_table._is_smooth(IlluminatedMaterial(name), per_log) for name in ("FL2", "FL11", "HP1"))
@@ -295,10 +295,10 @@ def test_nodes_are_skipped_under_smooth_lights_alone():
 @pytest.mark.parametrize(
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
-def test_few_rays_blur_a_line(rule, own, worst):
-    """A Gaussian anywhere between rays, as a spline through its values on them, blurred by few of the coefficients.
+def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
+    """A Gaussian line between azimuth samples, stored as spline coefficients, is blurred by a few filter taps.
 
-    Of a source's lines that spline itself is 3 % of their peak off.
+    For the line spectra of a source, the spline itself has an error of 3 % of the peak.
     """
     made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
@@ -314,7 +314,7 @@ def test_few_rays_blur_a_line(rule, own, worst):
             if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
-            # The rays' numbers, so that the middle ones are those that count.
+            # The azimuth samples are numbered so that the filter taps are in the middle.
             first = 24 - count // 2
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own
@@ -325,7 +325,7 @@ def test_few_rays_blur_a_line(rule, own, worst):
                 assert abs(result - exact) * np.sqrt(variance) < worst
 
 
-def test_a_flat_surface_has_none(fingers):
+def test_a_flat_surface_has_no_footprints(fingers):
     disc = meshes.disc(inner_radius=0.0, outer_radius=1.0, segments=32, rings=3)
     along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
     camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)

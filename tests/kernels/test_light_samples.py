@@ -1,4 +1,4 @@
-"""Light samples: factors interpolated by angle, and footprints under lights with an extent or nearby."""
+"""Light samples: factors interpolated by angle, and footprints of lights that are extended or nearby."""
 
 import numpy as np
 import pytest
@@ -26,11 +26,11 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """Energy by √(1 − cos θ) and by |x| + |y| around; transmittances by cos θ."""
+    """The energy factor is linear in √(1 − cos θ) and in |x| + |y|; transmittances are linear in cos θ."""
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
-    # No entry beyond the last one of a material is read.
+    # NaN entries after the last entry of a material must not be read.
     transmittances[2] = np.nan
     reflection = light_samples.Reflection()
     reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
@@ -39,7 +39,7 @@ def test_factors_are_linear_between_angles(rng):
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
     share = y / (np.abs(x) + np.abs(y))
-    # A quarter of a turn is two of eight columns; the last is followed by the first.
+    # The azimuth table has eight columns per turn, so a quarter turn covers two. The first column follows the last.
     columns = 2.0 * np.where(x < 0.0, 2.0 - share, share % 4.0)
     around = np.column_stack([energy, energy[:, 0]])
     by_column = np.array([[np.interp(c, np.arange(9), row) for row in around] for c in columns])
@@ -73,8 +73,8 @@ def test_a_lights_extent_adds_its_covariance(rng):
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng):
-    """Rays that are a small part of a pixel apart meet the plane of a face where the light has another direction."""
+def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_rays(orthographic, rng):
+    """Compare with rays a small part of a pixel apart: where they meet the face, the light has another direction."""
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     place, eye = np.array([0.4, -0.3, 0.7]), np.array([1.5, 1.0, 2.0])
@@ -84,7 +84,7 @@ def test_the_turn_of_a_near_light_is_that_of_neighbouring_rays(orthographic, rng
     half, width, height, deviation = np.array([0.2, 0.15]), 16, 12, 0.5
 
     def met(x, y):
-        """Return where the ray at a place of the picture meets the plane, and the direction back along the ray."""
+        """Return where the ray at a picture position meets the plane, and the direction back along the ray."""
         across = x * right + y * up
         origin, along = (eye + across, -back) if orthographic else (eye, across - back)
         return origin + along * (plane @ (corners[0] - origin)) / (plane @ along), -along / np.linalg.norm(along)

@@ -1,4 +1,4 @@
-"""Native headers: each is included, listed as a build dependency, and compiles with any compiler."""
+"""Native headers: each one is included, is listed as a build dependency, and compiles with a plain C++ compiler."""
 
 import ast
 import re
@@ -17,26 +17,26 @@ COMPILER = next((snippets for name in ("c++", "g++", "clang++") if (snippets := 
 
 
 def calls(path, name):
-    """Calls of a function in a file, wherever they stand."""
+    """Yield all calls of a function in a Python file."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] == name:
             yield node
 
 
 def text(node):
-    """A string's own words, with 0 for what is filled in."""
+    """Return the text of a string or f-string, with 0 for each inserted value."""
     if isinstance(node, ast.Constant):
         return node.value
     return "".join(part.value if isinstance(part, ast.Constant) else "0" for part in node.values)
 
 
 def named(path):
-    """Headers that modules of a file include, with what these include."""
+    """Return the headers that a module includes, directly or through other headers."""
     names = [text(node) for call in calls(path, "options") for node in call.args]
     return {header for name in names for header in compile_options.headers(name)}
 
 
-def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
+def test_every_header_is_included_and_is_a_build_dependency():
     used = set().union(*(named(path) for path in MODULES))
     assert used == set(HEADERS)
     build = compile_options.options("footprint_lookup.h", "point_lookup.h")["extra_build_options"]
@@ -47,7 +47,7 @@ def test_every_header_is_included_and_belongs_to_what_modules_are_built_of():
     ]  # fmt: skip
 
 
-def test_a_native_function_in_python_is_one_call_of_a_header():
+def test_each_native_function_in_python_is_one_call_of_a_header_function():
     snippets = [text(node.args[0]) for path in MODULES for node in calls(path, "func_native")]
     assert len(snippets) > 10
     for snippet in snippets:
@@ -58,7 +58,7 @@ def test_a_native_function_in_python_is_one_call_of_a_header():
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C++ compiler on this machine")
-def test_a_plain_compiler_takes_headers(tmp_path):
+def test_headers_compile_with_a_plain_compiler(tmp_path):
     source = tmp_path / "all.cpp"
     includes = ["builtin.h", *(path.name for path in HEADERS)]
     source.write_text("#define WP_NO_CRT\n" + "".join(f'#include "{name}"\n' for name in includes), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Rays, shading frames and base colours of the kernel against brute force in float64."""
+"""Primary rays, shading frames and base colours of the kernels, compared with brute force in float64."""
 
 import dataclasses
 import itertools
@@ -24,7 +24,7 @@ OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_o
 
 
 def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None, covers=False):
-    """The kernels' outputs by name, (height * width, ...) each, by rays or face by face."""
+    """Return the kernels' outputs by name, (height * width, ...) each, by ray tracing or by rasterizing faces."""
     scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
     sampling = Sampling()
     count = view.width * view.height
@@ -49,7 +49,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
 
 
 def pixels_for(count):
-    """Room for what so many rays find."""
+    """Return output arrays for ``count`` camera rays."""
     pixels = Pixels()
     for name in OUTPUTS:
         dtype = wp.int32 if name in ("hit", "face") else wp.vec3f
@@ -67,7 +67,7 @@ def world(surface):
 
 
 def torn(surface):
-    """The same surface with three vertices a face, coloured so that the base colour is the barycentrics."""
+    """Return the same surface with three vertices per face, whose base colours are barycentric coordinates."""
     corner = surface.faces.ravel()
     arrays = {
         name: np.ascontiguousarray(getattr(surface, name)[corner])
@@ -78,7 +78,7 @@ def torn(surface):
     return dataclasses.replace(surface, faces=faces, vertex_colours=colours, **arrays)
 
 
-# Bodies, and the views that see them; the disc is seen from behind.
+# Test meshes with camera views. The disc is viewed from behind.
 SCENES = {
     "tube": (meshes.tube(segments_along=40, segments_around=24),
              View((0.5, 1.9, 1.2), (0.1, 0, 0), width=70, height=48)),
@@ -105,7 +105,7 @@ def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
     vertices = world(surface)
     t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
 
-    # Rays through an edge, to float32, may take either face: the place must be the same all the same.
+    # Rounding to float32 decides which face a ray through an edge hits. The hit point must be the same for both faces.
     edge = margin < 1e-5
     assert np.count_nonzero(edge) < 0.005 * len(edge)
     sure = ~edge
@@ -116,7 +116,7 @@ def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
     place = np.einsum("kc,kcd->kd", got["base_colour"][hit], vertices[surface.faces[got["face"][hit]]])
     np.testing.assert_allclose(np.sum((place - origins[hit]) * directions[hit], axis=1) / t[hit], 1.0, atol=2e-5)
     hit &= sure
-    # Grazed faces magnify a rounding of the position by 1 / cos.
+    # On faces viewed at grazing angles, rounding errors of the position are magnified by 1 / cos θ.
     corners = vertices[surface.faces[face]]
     geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     grazing = np.abs(np.sum(geometric * directions, axis=1)) / np.linalg.norm(geometric, axis=1)
@@ -139,7 +139,7 @@ def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
 
 
 def wall(corner_colours=None, size=100.0):
-    """A square in the plane z = 0 with u along x and v along y, one texture in all."""
+    """Return a square in the plane z = 0 with u along x and v along y, covered by one copy of the texture."""
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
     material = None if corner_colours is None else SimpleMaterial(image=corner_colours)
@@ -152,7 +152,7 @@ def test_perspective_pixel_centres():
     width, height = 8, 6
     got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
     away = got["to_view"].reshape(height, width, 3).astype(np.float64)
-    # The place on the plane z = 1 behind the eye, in half heights: row 0 on top, column 0 on the left.
+    # Expected positions of rays on the plane z = 1 behind the eye, in half heights of the picture: row 0 is at the top.
     place = -away[..., :2] / away[..., 2:]
     np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
     np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
@@ -168,7 +168,7 @@ def test_orthographic_pixel_centres():
 
 
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
-def test_a_distant_eye_loses_nothing(covers):
+def test_a_distant_eye_loses_no_precision(covers):
     mesh = meshes.disc(segments=24, rings=2)
     surface = prepare_surface(mesh)
     frames = []
@@ -182,7 +182,7 @@ def test_a_distant_eye_loses_nothing(covers):
 
 
 def test_faces_leave_no_gap_where_they_meet():
-    # A vertex and four edges right in pixels' centres, seen head on, and turned so that no two products are alike.
+    # A vertex and four edges of the mesh coincide with pixel centres, viewed once frontally and twice obliquely.
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
     mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
     surface = prepare_surface(mesh, tangents=[[1.0, 0.0, 0.0]] * 5)
@@ -191,7 +191,7 @@ def test_faces_leave_no_gap_where_they_meet():
         assert np.all(got["hit"] == 1)
 
 
-# Two faces of the plane reach far behind the eye.
+# The mesh named "plane" has two faces that extend far behind the eye.
 AROUND_THE_EYE = {
     "tube": (meshes.tube(segments_along=24, segments_around=12),
              View((0.2, 0.05, 0.0), (1.0, 0.1, 0.2), width=70, height=50)),
@@ -209,7 +209,7 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # Rays through an edge may take either face, but something is met.
+    # Rounding decides which of two faces a ray through their common edge hits, but the ray must hit one.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -218,7 +218,7 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
 
 
 def test_eyes_close_to_a_face_see_no_gap():
-    """From within a body that is closed something is met everywhere."""
+    """An eye inside a closed mesh must see a face in every direction."""
     surface = prepare_surface(trimesh.creation.icosphere(subdivisions=2), tangents=np.tile([0.3, 1.0, 0.2], (162, 1)))
     scene = SceneArrays(surface, device="cpu")
     rng = np.random.default_rng(5)
@@ -229,8 +229,8 @@ def test_eyes_close_to_a_face_see_no_gap():
         assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
 
 
-# Where a lid ends, the plane's large faces go on below it, and a pixel that sees them has rays that do not; far away
-# faces are a fraction of a pixel.
+# Meshes for refined pixels. At the border of the upper plate, some rays of a pixel hit it and others hit the lower
+# plate. In the distant mesh, faces are smaller than a pixel.
 CELLS = {
     "plates": (trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])]),
                View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)),
@@ -244,10 +244,10 @@ CELLS = {
 @pytest.mark.parametrize(("mesh", "view"), CELLS.values(), ids=CELLS)
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 @pytest.mark.parametrize("slices", [1, 7])
-def test_cells_are_found_face_by_face(mesh, view, level, slices):
+def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
-    # Pixels anywhere, also at the picture's border and outside the mesh, in any order.
+    # The refined pixels are random and unsorted, and include pixels at the picture's border and outside of the mesh.
     rng = np.random.default_rng(3)
     chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
     cells = pixel_filter.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))
@@ -266,14 +266,14 @@ def test_cells_are_found_face_by_face(mesh, view, level, slices):
     for faces in (nearest, by_rays):
         pixels = pixels_for(count)
         pixels.nearest = faces
-        # Some slices begin within a pixel.
+        # Some slices of the work begin in the middle of a pixel.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
             wp.launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
-    # Rays through an edge may take either face.
+    # Rounding decides which face a ray through an edge hits.
     assert np.mean(face != face_by_rays) < 2e-3
     same = (face == face_by_rays) & (face >= 0)
     assert np.count_nonzero(same) > 200
@@ -285,7 +285,7 @@ def test_neighbours_of_refined_pixels_stay_unchanged():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
-    # At the ends of words and rows.
+    # The refined pixels are at the ends of words of the bit mask and at the ends of picture rows.
     pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
     cells = pixel_filter.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))
     count = 16 * len(pixels)
@@ -309,7 +309,7 @@ def test_slices_make_the_same_picture(covers):
 
 
 def offsets(sample, samples, seed=0, width=64, height=48):
-    """Offsets (right, down) in pixels, found from where orthographic rays meet a wall one unit a pixel."""
+    """Return ray offsets (right, down) in pixels, computed from the hits of orthographic rays on a wall."""
     surface = prepare_surface(wall(size=200.0))
     view = View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=float(height), width=width, height=height)
     got = cast(surface, view, smooth=False, sample=sample, samples=samples, seed=seed)
@@ -325,20 +325,20 @@ def test_gaussian_offsets():
     assert np.linalg.norm(all_of_them, axis=2).max() < 1.5 + 3e-5
     flat = all_of_them.reshape(-1, 2)
     np.testing.assert_allclose(flat.mean(axis=0), 0.0, atol=0.005)
-    # E[r²] of the Gaussian cut at c = 1.5: 2σ² − c² e / (1 − e), e = exp(−c² / 2σ²).
+    # For a Gaussian truncated at c = 1.5, E[r²] = 2σ² − c² e / (1 − e) with e = exp(−c² / 2σ²).
     e = np.exp(-4.5)
     std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
     np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
     assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
-    # Low discrepancy: a pixel's mean of 16 is far nearer to 0 than that of 16 independent samples, σ / 4.
+    # The samples have low discrepancy: the mean of 16 is much closer to 0 than for independent samples (σ / 4).
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
-    # Neighbouring pixels, and other seeds, are rotated otherwise.
+    # The sample pattern is rotated differently in each pixel and for each seed.
     assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
     assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_both_sides_have_a_frame(mirrored):
+def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
     mesh = wall(size=2.0)
     if mirrored:
         mesh.visual.uv = mesh.visual.uv * [1.0, -1.0]
@@ -349,14 +349,14 @@ def test_both_sides_have_a_frame(mirrored):
         assert np.all(got["hit"] == 1)
         np.testing.assert_allclose(got["normal"], np.tile([[0, 0, np.sign(z)]], (16, 1)), atol=1e-6)
         np.testing.assert_allclose(got["tangent"], np.tile([[1, 0, 0]], (16, 1)), atol=1e-6)
-        # n × t with the turned normal, times the handedness.
+        # The bitangent is n × t with the normal turned to the viewer, times the handedness.
         np.testing.assert_allclose(got["bitangent"], np.tile([[0, sign * np.sign(z), 0]], (16, 1)), atol=1e-6)
         assert np.all(got["shadow_origin"][:, 2] * np.sign(z) > 0.0)
 
 
 def test_shading_normals_are_tilted_to_a_hundredth():
     mesh = wall(size=2.0)
-    # Normals that lean away from a viewer far to the right, and straight away from one above.
+    # One shading normal is tilted away from a distant viewer, and another points almost directly away from the viewer.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
         normals = np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
         surface = dataclasses.replace(prepare_surface(mesh), normals=normals)
@@ -365,12 +365,12 @@ def test_shading_normals_are_tilted_to_a_hundredth():
         cosine = np.sum(got["normal"] * got["to_view"], axis=1, dtype=np.float64)[hit]
         np.testing.assert_allclose(cosine, 0.01, atol=2e-7)
         np.testing.assert_allclose(np.linalg.norm(got["normal"][hit], axis=1), 1.0, atol=1e-6)
-        # In the plane of the normal and the view.
+        # The tilted normal stays in the plane of the original normal and the view direction.
         aside = np.cross(got["normal"][hit], got["to_view"][hit])
         np.testing.assert_allclose(np.sum(aside * surface.normals[0], axis=1), 0.0, atol=1e-6)
 
 
-def test_a_normal_straight_away_from_the_viewer_has_a_defined_answer():
+def test_a_normal_directly_away_from_the_viewer_has_a_defined_frame():
     surface = dataclasses.replace(prepare_surface(wall(size=2.0)), normals=np.tile(np.float32([[0, 0, -1]]), (4, 1)))
     got = cast(surface, View.orthographic((0, 0, 2), (0, 0, 0), extent_y=1.0, width=3, height=3))
     assert np.all(got["hit"] == 1)
@@ -380,7 +380,7 @@ def test_a_normal_straight_away_from_the_viewer_has_a_defined_answer():
 
 
 @pytest.mark.parametrize("tangent", [(0, 0, 1), (0, 0, 0), (1e-30, 0, 1)])
-def test_a_tangent_along_the_normal_has_a_defined_answer(tangent):
+def test_a_tangent_along_the_normal_has_a_defined_frame(tangent):
     surface = dataclasses.replace(prepare_surface(wall(size=2.0)), tangents=np.tile(np.float32([tangent]), (4, 1)))
     got = cast(surface, View((0, 0, 2), (0, 0, 0), fov_y_deg=20, width=3, height=3))
     frame = np.stack([got["tangent"], got["bitangent"], got["normal"]], axis=1)
@@ -391,10 +391,10 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
-    # Pixel centres fall on texel centres.
+    # The view is chosen so that pixel centres coincide with texel centres.
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
-    # Half a texel on, each is the mean of all four, across the border as well.
+    # After a shift of the texture by half a texel, each pixel shows the mean of four texels, also across the border.
     mesh.visual.uv = mesh.visual.uv + np.array([0.25, 0.25])
     got = cast(prepare_surface(mesh), view)["base_colour"]
     np.testing.assert_allclose(got, 0.5, atol=1e-5)
@@ -403,7 +403,7 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
 
 
-# As the package's, whose options Warp's headers are compiled for already.
+# The compile options equal those of the package, for which Warp's headers are already compiled.
 wp.set_module_options(compile_options.options())
 
 
@@ -437,7 +437,7 @@ def test_smooth_shading_has_no_jagged_terminator():
     illuminated = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
     origins = got["shadow_origin"][hit]
     assert np.mean(shadowed(scene, origins[illuminated], direction)) < 0.005
-    # The other half is in the body's own shadow.
+    # Points on the half of a sphere opposite to the light are in its own shadow.
     dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
     assert np.all(shadowed(scene, origins[dark], direction))
 

@@ -1,4 +1,4 @@
-"""Shadow rays: by grids in the light's view and by the hierarchy against brute force in float64."""
+"""Shadow rays, by occluder grids and by the bounding-box hierarchy, compared with brute force in float64."""
 
 import dataclasses
 
@@ -24,25 +24,25 @@ def unit(vector):
 
 
 def surface_of(mesh):
-    """A surface whose tangents are of no account."""
+    """Return the prepared surface of a mesh, with constant tangents, which do not affect shadows."""
     return prepare_surface(mesh, tangents=[[0.3, 0.5, 0.7]] * len(mesh.vertices))
 
 
 def box_on_floor():
-    """A floor of two faces with a body of 5,000 tiny ones on it, under a lid."""
+    """Return a floor of two large faces with a sphere of 5,000 tiny faces on it, below a square lid."""
     floor = trimesh.creation.box((20.0, 20.0, 0.1))
     body = trimesh.creation.icosphere(subdivisions=4).apply_translation((1.0, 2.0, 1.2))
     return trimesh.util.concatenate([floor, body, lid(4.0).apply_translation((0.0, 0.0, 5.0))])
 
 
 def lid(size=1.0):
-    """A square in the plane z = 0."""
+    """Return a square in the plane z = 0 with two faces."""
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
     return trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
 def plates():
-    """A finely cut plane with a lid that floats above it."""
+    """Return a finely subdivided square with a square lid above it."""
     plane = lid(2.0)
     for _ in range(4):
         plane = plane.subdivide()
@@ -50,7 +50,7 @@ def plates():
 
 
 def bodies():
-    """Bodies that cut through each other, and one that floats above them."""
+    """Return two spheres that intersect and a box above them."""
     one, other = (trimesh.creation.icosphere(subdivisions=3).apply_translation((x, 0.0, 0.0)) for x in (-0.4, 0.6))
     above = trimesh.creation.box((0.8, 0.8, 0.2)).apply_translation((0.2, 0.1, 1.5))
     return trimesh.util.concatenate([one, other, above])
@@ -65,7 +65,7 @@ MESHES = {
 
 
 def points_on(surface, light, count, rng):
-    """Points on a surface's faces, equally many on each, where shadow rays start on the side of the light."""
+    """Return starting points of shadow rays on random faces, lifted to the side of the light."""
     face = rng.integers(0, len(surface.faces), count)
     shares = rng.dirichlet((1.0, 1.0, 1.0), count)
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
@@ -75,7 +75,7 @@ def points_on(surface, light, count, rng):
 
 
 def occluded(grid, light, origins, threads=1):
-    """Return the kernel's result for rays from origins that face the light."""
+    """Return which shadow rays the kernel reports as occluded, from points whose normals face the light."""
     places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
@@ -105,7 +105,7 @@ def test_shadows_equal_brute_force(make, light, rng):
     origins = points_on(surface, light, 600, rng)
     rays = np.tile(light, (len(origins), 1))
     t, _, _, margin = intersect(origins.astype(float), rays, surface.vertices.astype(float), surface.faces, 64)
-    # Rays that graze an edge may be rounded to either side of it.
+    # Rounding decides whether a ray that grazes an edge hits the face.
     sure = margin > 1e-4
     assert np.count_nonzero(sure) > 0.99 * len(sure)
     for grid in (grid_of(surface, scene, light), occluder_grid.no_grid(scene)):
@@ -113,7 +113,7 @@ def test_shadows_equal_brute_force(make, light, rng):
 
 
 def test_faces_leave_no_gap_where_they_meet(rng):
-    # A crumpled sheet in the way of rays to its vertices and to the middles of its edges, rounded to either side.
+    # Shadow rays pass exactly through vertices and edge centres of a crumpled sheet, and are rounded to either side.
     sheet = lid(2.0)
     for _ in range(5):
         sheet = sheet.subdivide()
@@ -130,8 +130,8 @@ def test_faces_leave_no_gap_where_they_meet(rng):
             assert not np.any(occluded(grid, light, places + 0.3 * light))
 
 
-def test_pixels_do_not_hide_their_neighbours(rng):
-    # Points in the plane of a sheet are not hidden by it, whatever lies below them in the same cell.
+def test_other_points_in_a_grid_cell_do_not_change_a_shadow(rng):
+    # A sheet does not occlude points in its own plane, even if lower points are in the same grid cell.
     sheet = lid(2.0)
     for _ in range(4):
         sheet = sheet.subdivide()
@@ -152,8 +152,8 @@ def test_pixels_do_not_hide_their_neighbours(rng):
     assert np.all(result[1::2])
 
 
-def test_lists_of_many_faces_hide_what_is_below(rng):
-    # Sheets one above the other: more faces in a cell than are looked at together, and several pixels in it.
+def test_grid_cells_with_many_faces_occlude_the_points_below(rng):
+    # Stacked sheets put more faces into a grid cell than one SIMD batch has, and several shaded points into each cell.
     sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
     surface = surface_of(trimesh.util.concatenate(sheets))
     light = unit((0.0, 0.0, 1.0))
@@ -178,7 +178,7 @@ def test_threads_make_the_same_grid(rng):
     np.testing.assert_array_equal(occluded(alone, light, origins), occluded(others, light, origins, threads=3))
 
 
-def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
+def test_meshes_with_very_uneven_face_sizes_use_the_hierarchy():
     light = unit((0.1, 0.2, 0.9))
     body = trimesh.creation.icosphere(subdivisions=4)
     assert grid_of(surface_of(body), scene_of(surface_of(body)), light).starts is not None
@@ -190,7 +190,7 @@ def test_faces_of_too_uneven_sizes_are_left_to_the_hierarchy():
     assert grid_of(bundle, scene_of(bundle), light).starts is None
 
 
-def test_a_view_that_moves_finds_its_lights_grids_again(monkeypatch):
+def test_a_moving_view_reuses_the_occluder_grids_of_its_lights(monkeypatch):
     made = []
     monkeypatch.setattr(
         occluder_grid, "_made", lambda *a, make=occluder_grid._made, **k: made.append(a[2]) or make(*a, **k)
@@ -218,7 +218,7 @@ def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
     )
     result = wd.shade(mesh, heightfield, lights, view, **options)
-    # One for each light, whatever the samples and tiles.
+    # Each light has one occluder grid, independent of the number of samples and tiles.
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)
@@ -231,8 +231,9 @@ def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
     assert np.any(unhidden.xyz != result.xyz)
 
 
-def test_what_faces_away_may_have_a_part_from_which_the_light_is_hidden():
-    # Below a snake, lit from behind: no first cell faces the light, and those of the next level that do are in shadow.
+def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_face_it():
+    # A snake seen from below and illuminated from behind. No cell of the first level faces the light. Cells of the next
+    # level that face the light are in shadow.
     heightfield, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
     eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)

@@ -1,4 +1,4 @@
-"""Samples of a sky: stratification, densities, gains, and the sky between its cells."""
+"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky."""
 
 import math
 
@@ -42,7 +42,7 @@ def call_functions(
 
 @pytest.fixture(scope="module")
 def results():
-    """Inputs and outputs of the functions: a disc and two rings of 4, 8 and 16 sectors, 3 × 6 blocks."""
+    """Return inputs and outputs of the sky-sampling functions for a small table of random probabilities."""
     rng = np.random.default_rng(5)
     table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
     rings = np.array([0.2, 0.3, 0.5])
@@ -76,7 +76,7 @@ def results():
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
 def test_points_of_each_square_of_cells_are_a_net(size, results):
-    """Any run of 2ⁿ points from a multiple of 2ⁿ on has one point in each of 2ⁿ boxes of equal area, of any shape."""
+    """Each run of 2ⁿ points, from a multiple of 2ⁿ on, has one point in each of 2ⁿ boxes of equal area."""
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):
             boxes = (points * [across, size // across]).astype(int)
@@ -87,7 +87,7 @@ def test_cells_follow_a_morton_curve(results):
     indices = results[1]["indices"].reshape(128, 128)
     np.testing.assert_array_equal(np.sort(indices.ravel()), np.arange(COUNT))
     np.testing.assert_array_equal(indices[:4, :4], [[0, 1, 4, 5], [2, 3, 6, 7], [8, 9, 12, 13], [10, 11, 14, 15]])
-    # Each square of a power of 2 is one run.
+    # Along a Morton curve, each aligned square whose side is a power of 2 has consecutive indices.
     assert np.all(np.ptp(indices.reshape(16, 8, 16, 8), axis=(1, 3)) == 63)
 
 
@@ -101,7 +101,7 @@ def test_points_are_drawn_in_proportion_to_their_density(results):
         assert inside.mean() == pytest.approx(share, abs=2e-3)
         counts = np.bincount((turn[inside] * len(spokes)).astype(int), minlength=len(spokes))
         np.testing.assert_allclose(counts / inside.sum(), spokes, atol=3e-3)
-    # The mean of one over the density is the area that places are drawn from, and that of |(u, v)|² over it is known.
+    # The mean of 1/density over samples is the area of the sampled disc, and the mean of |(u, v)|²/density is known.
     farthest = 0.25 * 3.0
     per_density = 1.0 / computed["uv_densities"]
     assert per_density.mean() == pytest.approx(math.pi * farthest**2, rel=0.01)
@@ -127,7 +127,7 @@ def test_the_sky_is_linear_between_its_cells(results):
     np.testing.assert_allclose(computed["powers"], expected, atol=2e-5)
 
 
-def test_gains_are_those_of_the_library_for_a_light_of_a_size(results):
+def test_gains_equal_those_of_the_library_for_extended_lights(results):
     given, computed = results
     expected = reflectance_factors.gain(
         given["along"], given["views"], normal=0.04, masking=True, per_light_cosine=True

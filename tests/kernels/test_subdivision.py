@@ -1,4 +1,4 @@
-"""Subdivision: sums over the cells of a split pixel."""
+"""Subdivision of pixels: filtered sums over subpixel cells, and the choice of levels."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def array(values, dtype):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("is_base", [True, False])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
-    """Pixel 5 of nine is split; one cell after the other is lit, meets nothing, or is not lit."""
+    """Pixel 5 of 9 is subdivided. In turn, each of its cells is illuminated, misses the mesh, or is not illuminated."""
     across = 2**level
     weights = rng.uniform(size=(3, across))
     for cell in range(across**2):
@@ -48,8 +48,8 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 
 @pytest.mark.parametrize("level", [2, 3])
-def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
-    """Pixel 5 of nine is split; the cells of one block and some others meet nothing, which does not scatter."""
+def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
+    """Pixel 5 of 9 is subdivided. Cells that miss the mesh, such as one whole block, do not add to the variance."""
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
     hit[: across // 4, : across // 4] = False
@@ -68,14 +68,14 @@ def test_the_scatter_of_samples_is_that_of_the_means_of_16_blocks(level, rng):
     away = blocks - hits[:, None] * blocks.sum(axis=0) / hits.sum()
     expected = np.sqrt(np.sum(away**2) * used / (used - 1)) / across**2
     assert changes.numpy()[5] == pytest.approx(expected, rel=1e-4)
-    # Colours that are all the same do not scatter, wherever the mesh ends.
+    # Equal colours have no variance, even if some cells miss the mesh.
     inputs[0] = array(np.ones((across**2, 3)), wp.vec3f)
     wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
     assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
-    """Only tiles of the level that was shaded last are looked at, and those of other levels do not count."""
+    """Only tiles that were last shaded at the current level can change their level."""
     height, width, floor, tolerance, level, most = 7, 9, 0.5, 0.05, 3, 5
     shaded = rng.choice([2, 3], (height, width), p=[0.3, 0.7])
     scatter = rng.lognormal(-2.5, 1.5, (height, width)).astype(np.float32)
@@ -105,7 +105,7 @@ def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
 
 
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
-    """Compute the levels of ``select_levels`` tile by tile, for a picture whose tiles all have cells."""
+    """Compute the levels of ``select_levels`` tile by tile, for a picture in which all tiles have cells."""
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
     square = np.zeros(cells.shape[:2])
@@ -133,7 +133,7 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
 def test_levels_follow_from_second_differences(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
-    # Colours that change along a line by equal steps need no finer cells.
+    # Colours that change linearly along a row need no finer cells.
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
@@ -154,7 +154,7 @@ def test_levels_follow_from_second_differences(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # Levels are 1 where neighbouring colours belong to the line, too.
+    # Level 1 suffices for a pixel if its colour and those of its neighbours change linearly.
     assert np.all(levels[4:, :] == 1)
 
 
@@ -165,7 +165,7 @@ def test_each_pixel_of_all_threads_gets_a_lights_share_once(rng):
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
     wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
-    # The first pixel and the last one belong to no thread.
+    # The first and the last pixel are outside of the ranges of both threads, so they must not change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)

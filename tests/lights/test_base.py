@@ -1,4 +1,4 @@
-"""A light of one's own: a part, a pass and a kernel are enough, as a spotlight with a cos⁸ profile shows."""
+"""A user-defined light needs a light class, a lobe set, a pass and a kernel: here a spotlight with a cos⁸ profile."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from warpdiff.kernels.structs import Pixels
 from warpdiff.lights.base import LobeSet
 from warpdiff.lights.lobe_pass import LobePass
 
-# Kernels of a user-defined light.
+# The kernel of the user-defined spotlight.
 
 
 @wp.kernel
@@ -21,7 +21,7 @@ def dim_by_profile(
     pixels: Pixels, position: wp.vec3f, axis: wp.vec3f, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply geometry factors by the eighth power of the cosine from the light's axis."""
+    """Multiply geometry factors by the eighth power of the cosine of the angle to the spotlight's axis."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         towards = wp.normalize(pixels.shadow_origin[i] - position)
@@ -57,7 +57,7 @@ class SpotLight(wd.PointLight):
         return [SpotLobes(part.lobes, self.axis)]
 
 
-# End of what it takes.
+# Axis of the spotlights of all tests in this file, from the light into the scene.
 
 AXIS = (0.0, -0.8, -0.6)
 
@@ -66,7 +66,7 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     body, position = meshes.tube(segments_along=48, segments_around=24), (0.3, 1.7, 1.4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
     coherence = wd.Coherence(sigma_um=4.0)
-    # Both have the same table: plans for darker directions differ within the tolerance.
+    # The point light and the spotlight use the same table, because plans for darker directions differ.
     plan = wd.plan(fingers, coherence=coherence, integration="table", tolerance=0.1)
     point, spot = (
         wd.shade(body, fingers, light, view, plan=plan, pigment=0.0, refine=False, layers=("depth",))
@@ -77,18 +77,18 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     y = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
     rays = x[None, :, None] * frame.right + y[:, None, None] * frame.up - frame.back
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    lit = point.illuminated & (point.xyz[..., 1] > 0.0)
-    towards = frame.origin + point.layers["depth"][lit][:, None] * rays[lit] - position
+    illuminated = point.illuminated & (point.xyz[..., 1] > 0.0)
+    towards = frame.origin + point.layers["depth"][illuminated][:, None] * rays[illuminated] - position
     profile = np.maximum(towards @ AXIS / np.linalg.norm(towards, axis=1), 0.0) ** 8
     assert profile.min() < 0.5 < profile.max()
-    ratios = spot.xyz[lit][:, 1] / (profile * point.xyz[lit][:, 1])
+    ratios = spot.xyz[illuminated][:, 1] / (profile * point.xyz[illuminated][:, 1])
     assert len(ratios) > 500
     assert np.median(ratios) == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(np.percentile(ratios, (1.0, 99.0)), 1.0, atol=1e-2)
 
 
-def test_a_spotlight_that_turns_is_recorded_anew(fingers):
-    """Its kernel takes position and axis by value."""
+def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
+    """Recorded launches contain the spotlight's position and axis by value."""
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]

@@ -1,4 +1,4 @@
-"""Clear skies: luminances and illuminances by the CIE's formulas, and a sun with its power, its width and its place."""
+"""Clear skies: luminance and illuminance by the CIE's formulas, and a sun with the right power, width and position."""
 
 import math
 
@@ -13,13 +13,13 @@ LUMINANCE = colorimetry.RGB_TO_XYZ[1]
 
 
 def traditional(along, to_sun):
-    """Luminances of the CIE's clear sky of 1973, which type 12 of the standard general sky equals but for rounding."""
+    """Return luminances of the CIE clear sky of 1973; type 12 of the CIE general sky equals it except for rounding."""
     angle = np.arccos(np.clip(along @ to_sun, -1.0, 1.0))
     return (0.91 + 10.0 * np.exp(-3.0 * angle) + 0.45 * np.cos(angle) ** 2) * (1.0 - np.exp(-0.32 / along[..., 1]))
 
 
 def illuminance(to_sun):
-    """The illuminance on the horizontal relative to the zenith's luminance, by Gauss and Legendre's points."""
+    """Return the horizontal illuminance over the luminance of the zenith, by Gauss–Legendre quadrature."""
     points, weights = np.polynomial.legendre.leggauss(200)
     cosine, azimuth = 0.5 * (points + 1.0), math.pi * points
     sine = np.sqrt(1.0 - cosine**2)[:, None]
@@ -29,13 +29,13 @@ def illuminance(to_sun):
 
 
 @pytest.mark.parametrize("altitude", [8.0, 37.0, 90.0])
-def test_luminances_and_illuminances_of_the_sky_are_the_cie_s(altitude):
+def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     to_sun = np.array([0.6 * level, up, 0.8 * level])
     sky = wd.Environment.clear_sky(3.0 * to_sun, sun=0.0, ground_albedo=0.3)
     luminance = sky.radiance_rgb.astype(np.float64) @ LUMINANCE
     polar = (np.arange(512) + 0.5) / 512.0 * math.pi
-    # Columns turn counter-clockwise, seen from above, with the sky.
+    # The columns of the map are ordered counter-clockwise as seen from above, and rotate with the sky.
     azimuth = ((np.arange(1024) + 0.5) / 512.0 - 1.0) * math.pi - math.radians(sky.rotation_deg)
     for row, column in ((3, 700), (100, 20), (250, 511), (200, 1023)):
         sine = math.sin(polar[row])
@@ -51,8 +51,8 @@ def test_luminances_and_illuminances_of_the_sky_are_the_cie_s(altitude):
 
 
 @pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
-def test_the_sun_is_found_with_its_power_its_width_and_its_place(altitude):
-    """The width is that of a disc of 0.53°, 3 % of which are the sky's own glow; pixels are 0.35° wide."""
+def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
+    """The sun is a disc of 0.53° diameter; 3 % of the extracted light is the sky's own glow. Pixels are 0.35° wide."""
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)
     (sun,) = extract_suns(sky.radiance_rgb)[1]
@@ -63,7 +63,7 @@ def test_the_sun_is_found_with_its_power_its_width_and_its_place(altitude):
     x, y, z = sun.towards
     placed = np.array([math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x])
     assert np.degrees(np.abs(placed - (-0.6 * level, up, 0.8 * level))).max() < 1e-3
-    # The ground has its light.
+    # The ground reflects the light of the sky and of the sun.
     ground = sky.radiance_rgb[300, 0] @ LUMINANCE
     assert ground == pytest.approx(0.2 * (1.0 + 2.0 * ratio * up), rel=1e-5)
 
@@ -80,6 +80,6 @@ def test_a_sun_at_the_horizon_has_faded():
      ({"sun": -1.0}, "sun must be"), ({"ground_albedo": 1.1}, "ground_albedo must be"),
      ({"scale": -1.0}, "scale must be")],
 )  # fmt: skip
-def test_skies_that_cannot_be_are_refused(arguments, message):
+def test_invalid_clear_skies_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         wd.Environment.clear_sky(**{"sun_direction": (0.0, 1.0, 0.0)} | arguments)

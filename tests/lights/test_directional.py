@@ -1,4 +1,4 @@
-"""Directional lights: their direction, and refusals."""
+"""Directional lights: normalisation of their direction, and invalid arguments."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Lights of a size: samples of a disc, and pictures against a disc of many points and its shadow."""
+"""Disc lights: samples of the disc, and pictures and shadows compared with many directional lights."""
 
 import math
 
@@ -26,15 +26,15 @@ def fingers():
 
 
 def points_of(light, count):
-    """Point lights that are even over the disc, on rings of as many as their lengths."""
+    """Return directional lights on rings, distributed uniformly over the disc of a light."""
     axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
     aside = np.cross(axis, (1.0, 0.0, 0.0))
     aside /= np.linalg.norm(aside)
     other = np.cross(axis, aside)
     rings = round(math.sqrt(count / math.pi))
-    found = []
+    result = []
     for ring in range(rings):
-        # Rings of equal width: their solid angles are shared out among as many points as their lengths take.
+        # Each ring of equal width has a number of lights proportional to its length, which share its solid angle.
         inner, outer = radius * ring / rings, radius * (ring + 1) / rings
         middle, points = 0.5 * (inner + outer), max(round(2.0 * math.pi * (ring + 0.5)), 3)
         share = (math.cos(inner) - math.cos(outer)) / (1.0 - math.cos(radius)) / points
@@ -42,8 +42,8 @@ def points_of(light, count):
             around = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / points
             across = math.cos(around) * aside + math.sin(around) * other
             towards = math.cos(middle) * axis + math.sin(middle) * across
-            found.append(wd.DirectionalLight(tuple(towards), power=share))
-    return found
+            result.append(wd.DirectionalLight(tuple(towards), power=share))
+    return result
 
 
 @pytest.mark.parametrize("diameter", [0.53, 5.0, 40.0])
@@ -51,13 +51,13 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
     lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobe()
     assert lobe.power == 3.0
     np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
-    # Half of the radius, but for what a sphere is not a plane.
+    # The standard deviation of a disc light is half of its radius, up to the difference between an angle and its sine.
     sizes = np.linalg.norm(lobe.deviations, axis=1)
     np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
 
 
 def drawn_towards(diameter, *, normal, view, lobe):
-    """Directions to a disc and their weights, for the 64 × 64 cells of a pixel that sees a plane."""
+    """Return directions to a disc light and their weights, for the 64 × 64 cells of a pixel on a plane."""
     count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobe()
 
     def repeated(value):
@@ -79,8 +79,8 @@ def drawn_towards(diameter, *, normal, view, lobe):
 
 @pytest.mark.parametrize("diameter", [3.0, 60.0])
 @pytest.mark.parametrize("towards_mirror", [None, 0.4, 0.95])
-def test_directions_are_even_over_the_disc(diameter, towards_mirror):
-    """Also where some are drawn near that of a mirror, which lies on the disc at a share of its radius."""
+def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror):
+    """Weighted samples are uniform over a disc light, also if some are drawn near a mirror direction on the disc."""
     axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
     normal = view = -axis
     if towards_mirror is not None:
@@ -94,37 +94,37 @@ def test_directions_are_even_over_the_disc(diameter, towards_mirror):
     assert np.all(cosines >= math.cos(radius) - 1e-6)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
-    # Weighted, solid angles are even outwards and around.
+    # The weighted samples of a disc are uniform in solid angle and in azimuth.
     share = (1.0 - cosines) / (1.0 - math.cos(radius))
     around = np.arctan2(*(towards[inside, :3] @ orthonormal_pair(axis).T).T)
     count = len(towards)
     assert weights.sum() / count == pytest.approx(1.0, abs=0.02)
     for values, ends in ((share, (0.0, 1.0)), (around, (-math.pi, math.pi))):
-        found = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
-        np.testing.assert_allclose(found, 0.125, atol=0.012)
+        result = np.histogram(values, 8, ends, weights=weights[inside])[0] / count
+        np.testing.assert_allclose(result, 0.125, atol=0.012)
 
 
 @pytest.mark.parametrize(("diameter", "count", "median", "most"), [(5.0, 200, 0.02, 0.1), slow(20.0, 320, 0.02, 0.1)])
-def test_a_light_of_a_size_is_a_disc_of_points(diameter, count, median, most, fingers):
+def test_a_disc_light_equals_many_directional_lights(diameter, count, median, most, fingers):
     light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter)
     body = wd.meshes.tube(segments_along=48, segments_around=36)
     options = {"tolerance": 1e-1, "coherence": SHORT, "pigment": 0.0, "shadows": False, "refine": False}
     exact = wd.shade(body, fingers, points_of(light, count), VIEW, **options)
-    found = wd.shade(body, fingers, light, VIEW, plan=exact.plan, **options | {"coherence": None})
-    seen = exact.illuminated & found.illuminated
-    errors = relative_errors(found.xyz[seen], exact.xyz[seen])
+    result = wd.shade(body, fingers, light, VIEW, plan=exact.plan, **options | {"coherence": None})
+    visible = exact.illuminated & result.illuminated
+    errors = relative_errors(result.xyz[visible], exact.xyz[visible])
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
-    # Without its size the light is another one.
+    # A directional light without an angular diameter gives a clearly different picture from a disc light.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
-    others = relative_errors(point.xyz[seen], exact.xyz[seen])
+    others = relative_errors(point.xyz[visible], exact.xyz[visible])
     assert np.percentile(errors, 90.0) < 0.7 * np.percentile(others, 90.0)
 
 
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 def test_a_wide_light_has_a_soft_shadow(fingers):
-    """Behind the edge of a tube that hides the middle of a light, its rim still shines."""
+    """A tube occludes the centre of a disc light, but its edge still illuminates some pixels."""
     body = wd.meshes.tube(segments_along=48, segments_around=36)
     view = wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=23, width=48, height=36)
     options = {"tolerance": 2e-1, "coherence": SHORT, "pigment": 0.0, "refine": False}
@@ -136,12 +136,12 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # Its table is for the whole hemisphere.
+    # The renderer uses a table for the whole hemisphere, so its colours differ slightly from those of ``shade``.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
-def test_a_penumbra_is_the_share_of_the_disc_that_an_edge_leaves():
-    """Behind the edge of a plate, far away as seen from the floor, Y falls as a chord cuts a disc."""
+def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
+    """The edge of a plate occludes part of a disc light. Y is the share of the disc on the visible side of a chord."""
     floor, plate = trimesh.creation.box((4, 4, 0.1)), trimesh.creation.box((40, 20, 0.05))
     body = trimesh.util.concatenate([floor, plate.apply_translation((0, 10.0, 3.0))])
     body.visual.vertex_colors = np.full((len(body.vertices), 4), 200, dtype=np.uint8)
@@ -149,7 +149,7 @@ def test_a_penumbra_is_the_share_of_the_disc_that_an_edge_leaves():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # The pigment sends the same from all parts of the disc.
+    # Only the pigment is compared, because it reflects light from all parts of the disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
@@ -159,18 +159,18 @@ def test_a_penumbra_is_the_share_of_the_disc_that_an_edge_leaves():
     y = frame.half_height * (1.0 - 2.0 * (np.arange(48) + 0.5) / 48)
     along = y[:, None] * frame.up - frame.back
     on_floor = np.asarray(view.eye) + (0.05 - view.eye[2]) / along[:, 2:] * along
-    # How far the edge lies over the middle of the disc, in its radii.
+    # Distance of the plate's edge from the centre of the disc, in radii of the disc.
     edge = np.arctan2(0.0 - on_floor[:, 1], 3.0 - 0.025 - 0.05) / math.radians(5.0)
     cut = np.clip(edge, -1.0, 1.0)
     visible = 0.5 + (np.arcsin(cut) + cut * np.sqrt(1.0 - cut**2)) / math.pi
     rows = np.flatnonzero((visible > 0.05) & (visible < 0.95))
     assert len(rows) >= 6
-    found = shown[rows, 8:16, 1].sum(axis=1) / bare[rows, 8:16, 1].sum(axis=1)
-    np.testing.assert_allclose(found, visible[rows], atol=0.04)
+    result = shown[rows, 8:16, 1].sum(axis=1) / bare[rows, 8:16, 1].sum(axis=1)
+    np.testing.assert_allclose(result, visible[rows], atol=0.04)
 
 
-def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
-    """A blazed grating on a disc: its table for single directions exceeds the tolerance, and a warning says so."""
+def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
+    """For a blazed grating, the best table exceeds the tolerance for single directions, and a warning reports this."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
         image = wd.shade(wd.meshes.disc(), blazed, light, VIEW, coherence=SHORT, tolerance=3e-2, pigment=0.0)
@@ -180,12 +180,12 @@ def test_orders_that_no_table_keeps_for_single_directions_take_the_best_one():
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # The reported error of single directions is 0.09, and samples add noise.
+    # The reported error of single directions is 0.09, and the samples of the disc light add noise.
     assert np.median(errors) < 0.06
     assert errors.max() < 0.2
 
 
-def test_a_size_is_said_once_and_takes_footprints(fingers):
+def test_disc_lights_require_footprints_and_exclude_a_source_coherence(fingers):
     light = wd.DirectionalLight(TOWARDS, angular_diameter_deg=3.0)
     view = wd.View((0, 0, 4), (0, 0, 0), width=8, height=6)
     of_source = {"coherence": wd.Coherence("source")}
@@ -197,31 +197,31 @@ def test_a_size_is_said_once_and_takes_footprints(fingers):
 
 
 @pytest.mark.parametrize(("diameter", "fov_y_deg"), [(20.0, 24.0), slow(4.0, 8.0)])
-def test_a_rim_is_as_sharp_as_the_discs(diameter, fov_y_deg, square):
-    """A mirror shows a disc whose rim is sharp but for the window's lobe, against sums over points of the disc."""
+def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square):
+    """A mirror shows a disc whose rim is blurred only by the window's lobe. The reference is a sum over points."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
-    # All of whose filters lie on the square.
+    # The pixel filters of the compared pixels are completely on the square.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
-    # Some of them lie beyond it.
+    # At least three of the compared pixels are outside of the reflected disc.
     assert np.count_nonzero(exact[:, 1] < 0.1 * exact[0, 1]) >= 3
-    # Samples are Gaussians, which soften the rim a little.
+    # Each sample of a disc light is a Gaussian, which blurs the rim of its reflection slightly.
     assert errors.max() < 0.6
     assert np.median(errors) < 0.05
 
 
-def test_a_mirror_under_a_wide_light_is_no_darker_than_it_should_be(square):
-    """Where a flat surface shows the middle of a disc, Y is the part of it that the window's lobe takes."""
+def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
+    """Where a flat surface reflects the centre of a disc light, Y is the share of the disc within the window's lobe."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
-    # The lobe is λ/(2√2πσ) wide at each wavelength, and the light's α/2.
+    # Standard deviations of the lobe, λ/(2√2πσ), and of the light, half of its angular radius.
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
     lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2
     assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

@@ -1,4 +1,4 @@
-"""Environments: mirrors and gratings under them, their pigment and shadows, skies behind pictures."""
+"""Environments: mirrors and gratings illuminated by them, pigment, shadows, and skies behind pictures."""
 
 import copy
 import math
@@ -21,7 +21,7 @@ UNDER = {"coherence": WINDOW, "tolerance": 1e-1, "ior": math.inf, "refine": Fals
 
 
 def middles(height):
-    """Directions to a picture's pixels, (height, 2 height, 3), and their solid angles."""
+    """Return directions to the pixels of an environment map, (height, 2 height, 3), and their solid angles."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
     level = np.sin(polar)[:, None]
@@ -31,7 +31,7 @@ def middles(height):
 
 
 def spectrum_of_a_sky(sigma_um):
-    """D65 over λ², which is what a window makes of a sky's radiance per solid angle, and its 4πσ²/λ² per luminance."""
+    """Return D65 over λ², the spectrum of a reflected sky under a window, and its factor 4πσ²/λ² per luminance."""
     nm, products = np.arange(380.0, 781.0), colorimetry.colour_products("D65")[:, 1]
     d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
@@ -39,7 +39,7 @@ def spectrum_of_a_sky(sigma_um):
 
 
 def seen_at(degrees):
-    """A view of a few pixels from an angle to z, towards no axis."""
+    """Return a view of a few pixels at an angle to the z-axis, along no coordinate axis."""
     angle = math.radians(degrees)
     eye = (4 * math.sin(angle) * 0.6, 4 * math.sin(angle) * 0.8, 4 * math.cos(angle))
     return wd.View.orthographic(eye, (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
@@ -55,10 +55,10 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     window = wd.Coherence(sigma_um=4.0)
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
-    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
-    # Pixels see the same, and draw other directions; what remains is the table's error.
-    found = found.mean(axis=(0, 1))
-    # dω cos θ is du dv; of grey light the spectrum is D65's, and what directions send is ρ L dω 4πσ²/λ².
+    result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
+    # All pixels have the same colour but different samples, so the mean of the pixels has only the error of the table.
+    result = result.mean(axis=(0, 1))
+    # With dω cos θ = du dv, each direction of a grey sky adds ρ L dω 4πσ²/λ², with the spectrum of D65.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
@@ -70,11 +70,11 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     )  # fmt: skip
     radiance = 1.0 + 0.8 * lights[:, 1] + 0.5 * np.sin(3.0 * lights[:, 0] + 1.0)
     exact = step**2 * per_luminance * (radiance / lights[:, 2]) @ rho
-    assert found == pytest.approx(exact, rel=within)
+    assert result == pytest.approx(exact, rel=within)
 
 
-def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
-    # The sky has 1.4° per pixel and is interpolated linearly, so that the sun extends equally to all sides.
+def test_a_sun_in_a_black_sky_equals_a_sum_over_its_directions(square):
+    # The sky has 1.4° per pixel and is interpolated linearly, so the sun is a pyramid over 2 × 2 pixels.
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=3.0)
     spectrum, per_luminance = spectrum_of_a_sky(3.0)
     row, column, view = 50, 130, seen_at(20.0)
@@ -94,8 +94,8 @@ def test_a_sun_in_a_black_sky_is_that_of_sums_over_its_directions(square):
     )  # fmt: skip
     exact = 1e3 * per_luminance * (weight * np.sin(polar)).ravel() @ rho
     sky = wd.Environment(radiance, rotation_deg=150.0, directions=64)
-    found = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
-    assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
+    result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": 3e-2}).xyz[1, 1]
+    assert np.linalg.norm(result - exact) < 0.04 * np.linalg.norm(exact)
 
 
 def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(square):
@@ -123,8 +123,9 @@ def test_a_mirror_under_an_even_sky_is_as_bright_as_the_sky(square):
 def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square):
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
-    found = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # Its lobe is a Gaussian in (u, v); dω cos θ is du dv, and towards the horizon u is evenly walked by its angle.
+    result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
+    # The mirror's lobe is a Gaussian in (u, v), and dω cos θ = du dv. The sum has equal steps in the angle of the
+    # light.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0
@@ -135,10 +136,10 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     products = colorimetry.colour_products("D65")[:, 1]
     exact = (shares / deviation[:, 0]) @ products / products.sum()
     assert exact < 0.8
-    assert found == pytest.approx(exact, rel=0.02)
+    assert result == pytest.approx(exact, rel=0.02)
 
 
-def test_turning_the_sky_turns_what_a_mirror_sees(square):
+def test_a_rotated_sky_is_rotated_in_a_mirror(square):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view, along = seen_at(40.0), middles(32)[0]
     mirrored = np.array([-view.eye[0], -view.eye[1], view.eye[2]]) / 4.0
@@ -199,8 +200,8 @@ def test_files_are_read_and_refused(tmp_path, square):
         wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 
-def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
-    # Two leaves of a book, of which each hides a part of the sky from the other.
+def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
+    # The mesh is an open book: each half occludes part of the sky for the other half.
     corners = [[0, 0, -1], [0, 0, 1], [1, 1, 1], [1, 1, -1], [-1, 1, 1], [-1, 1, -1]]
     texture = trimesh.visual.TextureVisuals(
         uv=[[0, 0], [0, 1], [1, 1], [1, 0], [1, 1], [1, 0]],
@@ -213,7 +214,7 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     grey = 1.2 + along[..., 0]
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=640)
     options = UNDER | {"ior": 1.5, "smooth": False}
-    found = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
+    result = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
     spectrum, per_luminance = spectrum_of_a_sky(8.0)
     lamps = [
         wd.DirectionalLight(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
@@ -224,18 +225,18 @@ def test_pigment_and_shadows_under_a_sky_are_those_under_many_lights():
     ]
     options |= {"footprint": False}
     exact = [wd.shade(book, flat, lamps, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
-    below, wanted = found[1] - found[0], exact[1] - exact[0]
-    seen = wanted[..., 1] > 0.0
-    assert seen.sum() > 60
-    away = np.linalg.norm(below[seen] - wanted[seen], axis=1) / np.linalg.norm(wanted[seen], axis=1)
-    # Lamps are hidden or not, and 11° apart; what hides the sky is known in steps of as much.
+    below, expected = result[1] - result[0], exact[1] - exact[0]
+    visible = expected[..., 1] > 0.0
+    assert visible.sum() > 60
+    away = np.linalg.norm(below[visible] - expected[visible], axis=1) / np.linalg.norm(expected[visible], axis=1)
+    # The reference has point-like lights 11° apart, each completely visible or occluded, which limits its accuracy.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.09
 
 
 @pytest.mark.slow
-def test_a_window_on_a_tube_is_that_of_sums_over_directions():
-    # Footprints are streaks here, and the horizon cuts orders.
+def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
+    # In this view of a tube, footprints are very elongated, and the horizon truncates some orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]
@@ -243,23 +244,23 @@ def test_a_window_on_a_tube_is_that_of_sums_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # Their own noise is 2 %.
+    # The sums over directions have a noise of 2 %.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
     for refine, median, most in ((False, 0.04, 0.2), (True, 0.06, 0.15)):
-        found = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
+        result = wd.shade(wd.meshes.tube(), heightfield, sky, view, **options | {"refine": refine})
         at = pixels[:, 0], pixels[:, 1]
-        away = np.linalg.norm(found.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
+        away = np.linalg.norm(result.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # Where the error is above 0.1, the picture reports at least half of it.
-        assert (found.error[at] > 0.5 * away)[away > 0.1].all()
+        # Where the true error is above 0.1, the error image reports at least half of it.
+        assert (result.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 
 
-def test_a_bright_even_sky_has_no_sun_beside_its_own():
-    # Means over what is even round to either side of it.
+def test_no_sun_is_extracted_from_a_uniform_sky():
+    # Rounding makes means over a uniform region of the sky differ slightly from its radiance.
     sky = np.full((64, 128, 3), 0.7, dtype=np.float32)
     sky[:20] = 1.19
     assert not extract_suns(sky)[1]
@@ -269,7 +270,7 @@ def test_a_bright_even_sky_has_no_sun_beside_its_own():
     assert grid.max() == pytest.approx(1.19, rel=1e-5)
 
 
-def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_same_launches(square, monkeypatch):
+def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_recording(square, monkeypatch):
     uploads, keys = [], []
     upload, set_lights = sky_distribution.upload_sky, picture.Picture.set_lights
 
@@ -291,7 +292,7 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_
     assert len(keys) == 3
     assert len(set(keys)) == 1
     np.testing.assert_array_equal(first, second)
-    # Another picture shares the arrays; another sky has its own, and other launches.
+    # A picture of another view reuses the device arrays of the same sky. Another sky has new arrays and launches.
     wd.shade(square, flat, lights, seen_at(20.0), **UNDER)
     assert len(uploads) == 1
     renderer.draw(wd.Environment(np.ones((4, 8, 3)), directions=16))
@@ -299,7 +300,7 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_depends_on_the_
     assert keys[-1] != keys[0]
 
 
-def test_an_environment_keeps_few_parts_and_its_copies_none():
+def test_an_environment_caches_few_parts_and_its_copies_none():
     sky = wd.Environment(0.5 + 0.5 * middles(16)[0], directions=16)
 
     def parts(environment, sigma_um):
@@ -322,8 +323,8 @@ def test_an_environment_keeps_few_parts_and_its_copies_none():
 
 
 @pytest.mark.parametrize("light", ["sky", "disc"])
-def test_more_rays_of_a_pixel_share_its_samples(light, square):
-    """Unrefined cells together draw as many directions as a single ray does, so that they are no worse."""
+def test_the_rays_of_a_pixel_share_its_samples(light, square):
+    """All cells of an unrefined pixel together have as many samples of the light as one ray, so noise stays equal."""
     flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
     lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
     if light == "sky":
@@ -332,5 +333,5 @@ def test_more_rays_of_a_pixel_share_its_samples(light, square):
     for samples in (1, 4, 64):
         image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
         spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
-    # The more samples, the less each of a disc is blurred.
+    # With more samples, each sample of a disc light is blurred less, so some noise is allowed.
     assert max(spread[1:]) < 2.0 * spread[0]

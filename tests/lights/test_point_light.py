@@ -1,4 +1,4 @@
-"""Lights at a place: directions and falloff by pixel, footprints, and what stands beyond the light."""
+"""Point lights: direction and falloff per pixel, footprints, and shadow rays that end at the light."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
         np.array(VIEW.eye) * size, (0, 0, 0), extent_y=1.6 * size, width=VIEW.width, height=VIEW.height
     )
     points = OPTIONS | {"footprint": False, "plan": wd.plan(fingers, coherence=WINDOW, tolerance=3e-2)}
-    found = wd.shade(body, fingers, wd.PointLight(tuple(position), power=size**2), view, **points)
+    result = wd.shade(body, fingers, wd.PointLight(tuple(position), power=size**2), view, **points)
     frame = view.frame()
     across = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
     upward = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
@@ -41,11 +41,11 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
         away = position - met
         light = wd.DirectionalLight(tuple(away), power=size**2 / float(away @ away))
         expected = wd.shade(body, fingers, light, view, **points).xyz[row, column]
-        assert found.xyz[row, column] == pytest.approx(expected, rel=2e-3)
+        assert result.xyz[row, column] == pytest.approx(expected, rel=2e-3)
 
 
-def test_footprints_know_how_the_direction_to_the_light_changes(fingers):
-    """On a flat square that is seen from infinitely far away nothing else changes over a pixel."""
+def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
+    """On a flat square in an orthographic view, only the direction to the light changes within a pixel."""
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
     mean = wd.shade(square(), fingers, light, VIEW, refine=False, **OPTIONS)
@@ -60,16 +60,16 @@ def test_footprints_know_how_the_direction_to_the_light_changes(fingers):
 def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=0.02, width=3, height=3)
-    for distance, seen in ((1.0, 2.0), (2.0, 0.5)):
+    for distance, luminance in ((1.0, 2.0), (2.0, 0.5)):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
-        assert image.xyz[1, 1, 1] == pytest.approx(seen, rel=1e-2)
-    # Pigment falls off alike.
+        assert image.xyz[1, 1, 1] == pytest.approx(luminance, rel=1e-2)
+    # The pigment's brightness has the same falloff with distance from a point light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
     )
-    # Two pictures whose pixels were refined differently would differ by that, too.
+    # Refinement is off, because two pictures of different brightness could be refined differently.
     options = OPTIONS | {"refine": False}
     shown = [
         wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **(options | {"pigment": 100.0})).xyz[1, 1]
@@ -79,7 +79,7 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
     assert shown[0] == pytest.approx(4.0 * shown[1], rel=1e-2)
 
 
-def test_pigment_is_that_of_a_light_in_the_direction_of_each_pixel(fingers):
+def test_pigment_under_a_point_light_equals_that_of_a_directional_light_per_pixel(fingers):
     coloured, place = square(), np.array([0.4, -0.3, 0.7])
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
@@ -123,8 +123,8 @@ def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
     options = OPTIONS | {"refine": False}
     renderer = wd.Renderer(square(), fingers, wd.DirectionalLight((0.1, 0.2, 1.0)), VIEW, **options)
     renderer.draw(light)
-    found = renderer.image()
+    result = renderer.image()
     expected = wd.shade(square(), fingers, light, VIEW, plan=renderer.plan, **options)
-    assert np.array_equal(found.xyz, expected.xyz)
+    assert np.array_equal(result.xyz, expected.xyz)
     on_the_surface = wd.shade(square(), fingers, wd.PointLight((0.1, 0.1, 0.0)), VIEW, plan=renderer.plan, **options)
     assert np.isfinite(on_the_surface.xyz).all()

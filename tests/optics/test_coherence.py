@@ -1,4 +1,4 @@
-"""Coherence: direct sums of periods and of a source against written-out sums, and the solid angles of all kinds."""
+"""Coherence: direct sums over periods and sources equal explicit sums, and solid angles of all coherence models."""
 
 import math
 
@@ -17,12 +17,12 @@ INCIDENCES = [0.0, 20.0, 50.0, 70.0, 85.0]
 
 @pytest.fixture
 def small(rng):
-    """A rough patch of 10 × 12 samples, unequal sides and pitches."""
+    """Return a rough patch of 10 × 12 samples with unequal sides and pitches."""
     return HeightField(rng.uniform(0.0, 0.25, (10, 12)), (0.13, 0.1))
 
 
 def tiled_power(heightfield, periods, scattering_vector, wavelength):
-    """|P|² as the mean of exp(2πi(κh + q·x)) over all samples of all periods, one after the other."""
+    """Return |P|², the squared mean of exp(2πi(κh + q·x)) over all samples of all periods."""
     u, v, w = scattering_vector / wavelength
     h = np.tile(heightfield.heights_um, periods)
     y = np.arange(h.shape[0])[:, None] * heightfield.pitch_um[0]
@@ -31,7 +31,7 @@ def tiled_power(heightfield, periods, scattering_vector, wavelength):
 
 
 def scattering_vector_at(heightfield, turns_x, turns_y, wavelength, w=-1.3):
-    """Scattering vector with so many turns from one period to the next along x and along y."""
+    """Return a scattering vector whose phase changes by the given turns from period to period along x and y."""
     return np.array([turns_x * wavelength / heightfield.size_um[1], turns_y * wavelength / heightfield.size_um[0], w])
 
 
@@ -47,7 +47,7 @@ def inclined(theta_deg, azimuth=0.7):
 
 
 @pytest.mark.parametrize("periods", [PERIODS, (1, 1), (1, 7), (6, 1)])
-def test_periods_are_the_sum_over_all_of_them(small, rng, periods):
+def test_replicas_equal_the_sum_over_all_periods(small, rng, periods):
     lights, views = hemisphere(rng, 24), hemisphere(rng, 24)
     for scattering_vector in -(lights + views):
         value = one(small, Coherence("replicas", periods=periods), scattering_vector, 0.5)
@@ -59,7 +59,7 @@ def test_periods_are_the_sum_over_all_of_them(small, rng, periods):
 def test_periods_at_and_near_resonances(small, turns_x, turns_y):
     scattering_vector = scattering_vector_at(small, turns_x, turns_y, 0.5)
     value = one(small, Coherence("replicas", periods=PERIODS), scattering_vector, 0.5)
-    # Nothing in a sum of numbers of size 1 is smaller than its rounding: half turns of four periods cancel.
+    # With half turns between periods, the sum over four periods cancels up to rounding errors.
     assert value == pytest.approx(tiled_power(small, PERIODS, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
     if np.rint(turns_x) == turns_x and np.rint(turns_y) == turns_y:
         coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / 0.5 * small.heights_um))
@@ -84,12 +84,12 @@ def test_thousands_of_periods(small, count):
         exact = scattering_vector[0] / 0.5 * small.size_um[1]
         series = abs(np.mean(np.exp(2j * np.pi * ((k * (exact - round(exact))) % 1.0)))) ** 2
         assert value == pytest.approx(patch * series, rel=1e-7, abs=1e-9 * patch / count**2)
-    # Far from resonance so many periods cancel each other; at resonance they are the endless surface.
+    # Far from a resonance many periods cancel. At a resonance they equal an infinite surface.
     far = scattering_vector_at(small, 0.25, 0.3, 0.5)
     assert one(small, coherence, far, 0.5) <= 2.0 * one(small, alone, far, 0.5) / count**2 * (1.0 + 1e-9)
 
 
-def test_an_upright_source_is_a_window_that_grows_with_the_wavelength(small, rng):
+def test_a_source_at_normal_incidence_equals_a_window_proportional_to_the_wavelength(small, rng):
     coherence = Coherence("source", angular_diameter_deg=6.0)
     up = np.array([0.0, 0.0, 1.0])
     scattering_vectors = -(up + hemisphere(rng, 24))
@@ -110,7 +110,7 @@ def test_kinds_have_both_spellings_and_print_in_words():
     assert [str(coherence) for coherence in coherences] == expected
 
 
-def test_the_sun_is_a_window_of_19_micrometres():
+def test_the_sun_equals_a_window_of_19_micrometres():
     sigma = 0.55 / (2.0 * math.sqrt(2.0) * math.pi * Coherence("source").spread)
     assert sigma == pytest.approx(18.93, abs=0.01)
 
@@ -123,7 +123,7 @@ def tangent_frame(to_light):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_spread_is_the_projected_source(theta):
-    """Covariance of the tangential part of directions drawn from a round Gaussian about the light."""
+    """The spread of a source is the covariance of the tangential part of its directions."""
     to_light, s = inclined(theta), 1e-4
     first, second = tangent_frame(to_light)
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
@@ -141,11 +141,12 @@ def test_spread_is_the_projected_source(theta):
 
 
 @pytest.mark.parametrize("theta", INCIDENCES)
-def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
-    """Each order shows the source where its light comes from: the truth in the limit of a small source.
+def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
+    """Each order shows the source at the direction from which its light comes, exactly for an infinitely small source.
 
-    The light that an order sends to the viewer comes from one direction; its place on the tangent plane of the sky is
-    a point (a, b), in units of the spread, of the Gaussian exp(−(a² + b²)/2).
+    This direction is a point (a, b) on the tangent plane of the sky, in units of the spread. The radiance of the source
+    is
+    exp(−(a² + b²)/2) there.
     """
     to_light, wavelength = inclined(theta), 0.5
     first, second = tangent_frame(to_light)
@@ -162,7 +163,7 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
         coherence = Coherence("source", angular_diameter_deg=diameter)
         s, worst = coherence.spread, 0.0
         for (r, t), place in cases:
-            # A viewer whom this order reaches from this place of the source.
+            # Direction to a viewer whom this order reaches from the chosen point of the source.
             origin = to_light + s * (place[0] * first + place[1] * second)
             origin /= np.linalg.norm(origin)
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])
@@ -173,7 +174,7 @@ def test_a_source_shows_its_own_radiance_in_every_order(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # The tangent plane is an approximation: of first order in the spread, with tan θi, upright of second order.
+    # The tangent plane has an error of first order in spread · tan θi, or of second order at normal incidence.
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]
@@ -201,11 +202,11 @@ def test_a_source_needs_its_direction(small):
      Coherence("replicas", periods=(3, 2))],
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
-def test_solid_angle_is_what_a_mirror_gathers(coherence):
-    """∫⟨|P|²⟩ du dv of a flat patch is Ω, for a source Ω cos θi: with ``brdf_scale`` a mirror returns all the light."""
+def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
+    """For a flat patch, ∫⟨|P|²⟩ du dv = Ω, or Ω cos θi for a source. With ``brdf_scale`` a mirror reflects all."""
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # One period of the spectrum for replicas: sampled sums repeat.
+    # For replicas the integral covers only one period of the spectrum, because sums over samples are periodic.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)
@@ -216,7 +217,7 @@ def test_solid_angle_is_what_a_mirror_gathers(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # Either way the BRDF, ρ times this scale, gathers C/cos θi: ρ is C ⟨|P|²⟩, for a source C/cos θi ⟨|P|²⟩.
+    # The integral of the BRDF is C/cos θi for both definitions: ρ = C⟨|P|²⟩, or ρ = C/cos θi · ⟨|P|²⟩ for a source.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

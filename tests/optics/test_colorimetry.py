@@ -1,4 +1,4 @@
-"""Colour: white, quadratures, matrices and the transfer function."""
+"""Colorimetry: white point, quadratures, matrices and the transfer function."""
 
 import itertools
 import subprocess
@@ -49,8 +49,8 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
 
 
 @pytest.mark.parametrize("illuminant", sorted(colorimetry.PRECOMPUTED))
-def test_precomputed_products_are_colour_sciences(illuminant):
-    """If colour-science should change, write the file again by ``np.save``."""
+def test_precomputed_products_equal_those_of_colour_science(illuminant):
+    """If values of colour-science change, write the file of products again with ``numpy.save``."""
     expected = colorimetry.products_by_colour_science(illuminant)
     np.testing.assert_allclose(colorimetry.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)
 
@@ -64,7 +64,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
 def test_uniform_quadratures(colour, geometric, illuminant, count):
-    """Equal steps in 1/λ, or equal ratios, over the visible range; either way white is the 1 nm sum."""
+    """Quadratures with equal steps in 1/λ, or in ln λ, give white the same colour as the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
     steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)
@@ -79,7 +79,7 @@ def test_flat_mirror_is_white(device):
 
 
 def test_a_linear_reflectance(colour):
-    """To the sixth order in 1/λ; of a few samples, negative weights are shared out."""
+    """The quadrature is of sixth order in 1/λ. With few samples, negative weights are moved to neighbours."""
     rho = np.linspace(0.2, 0.9, 401)
     exact = one_nm_sum(colour, "D65", rho)
     for step, error in ((1, 1e-8), (5, 1e-8), (10, 1e-8), (25, 1e-7), (50, 1e-2)):
@@ -100,8 +100,8 @@ def test_quadrature_converges_for_a_wave():
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "FL11", "HP1"])
-def test_orders_under_lines(illuminant):
-    """Orders pass as Gaussians of 1/λ; lines of an illuminant lie between samples as often as not."""
+def test_orders_under_illuminants_with_narrow_lines(illuminant):
+    """Orders are Gaussians in 1/λ. The narrow lines of the illuminant are often between two samples."""
     centres = np.linspace(1e3 / 780.0, 1e3 / 380.0, 101)
 
     def colours(count):
@@ -109,7 +109,8 @@ def test_orders_under_lines(illuminant):
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # Samples for each deviation: what bounds take at tolerances of 1e-2, 1e-3 and 1e-4, and a little less.
+    # The tested numbers of samples are slightly smaller than those of upper bounds at tolerances of 1e-2, 1e-3 and
+    # 1e-4.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 
@@ -128,7 +129,7 @@ def test_transfer_function(colour):
     np.testing.assert_allclose(colorimetry.srgb_encode([-0.5, 2.0]), [0.0, 1.0], atol=1e-15)
 
 
-def test_the_package_announces_nothing_of_colour_science():
+def test_importing_the_package_prints_no_message_of_colour_science():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         colorimetry.colour_products.cache_clear()

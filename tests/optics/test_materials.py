@@ -1,4 +1,4 @@
-"""Materials: Fresnel's equations and films against characteristic matrices, files, and flat surfaces."""
+"""Materials: Fresnel's equations and thin films compared with characteristic matrices, files, and flat surfaces."""
 
 import dataclasses
 import math
@@ -25,7 +25,7 @@ MATERIALS = {
 
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("polarisation", [None, "s", "p"])
-def test_reflectance_is_that_of_characteristic_matrices(name, polarisation):
+def test_reflectance_equals_that_of_characteristic_matrices(name, polarisation):
     material, angles = MATERIALS[name], np.array([0.0, 20.0, 45.0, 60.0, 75.0, 89.0])
     wavelengths = np.linspace(380.0, 780.0, 41)
     reflectances = material.reflectance(wavelengths, angles[:, None], polarisation=polarisation)
@@ -42,14 +42,14 @@ def test_glass_reflects_no_p_light_at_brewsters_angle_and_all_at_the_horizon():
     assert glass.reflectance(500.0, 90.0) == pytest.approx(1.0)
 
 
-def test_a_quarter_wave_of_the_root_of_an_index_reflects_nothing():
+def test_a_quarter_wave_film_with_the_root_of_the_index_reflects_nothing():
     coated = wd.Material.dielectric(2.25).coated(wd.Material.dielectric(1.5), 550.0 / 4.0 / 1.5)
     assert coated.reflectance(550.0, 0.0) == pytest.approx(0.0, abs=1e-12)
     assert coated.reflectance(400.0, 0.0) > 0.02
 
 
 def test_metals_have_their_colours():
-    """Johnson and Christy's gold reflects red and absorbs blue; McPeak's aluminium reflects 91 to 92 % of green."""
+    """Gold (Johnson and Christy) reflects red and absorbs blue. Aluminium (McPeak) reflects 91 to 92 % of green."""
     assert GOLD.reflectance([450.0, 650.0], 0.0).tolist() == pytest.approx([0.408, 0.955], abs=0.01)
     assert wd.Material.metal("Al").reflectance(550.0, 0.0) == pytest.approx(0.916, abs=2e-3)
     assert "Johnson" in GOLD.source
@@ -104,7 +104,7 @@ def test_files_of_the_database_are_read(name, tmp_path):
     np.testing.assert_allclose(material.reflectance(550.0, 30.0), expected.reflectance(550.0, 30.0), rtol=1e-3)
 
 
-def test_a_file_says_where_it_is_from(tmp_path):
+def test_a_material_file_states_its_source(tmp_path):
     (tmp_path / "metal.yml").write_text(SITE_YAML)
     assert wd.Material.from_file(tmp_path / "metal.yml").source == "A. Body. Of metals"
 
@@ -118,7 +118,7 @@ BAD_FILES = {
 
 
 def test_a_formula_that_has_no_index_at_some_wavelengths_is_refused(tmp_path):
-    """n² = λ/µm − 1 is negative up to 1 µm."""
+    """The index of refraction n² = λ/µm − 1 is not real below 1 µm."""
     text = "DATA:\n  - type: formula 3\n    wavelength_range: 0.3 2.5\n    coefficients: -1 1 1\n"
     (tmp_path / "a.yml").write_text(text)
     with pytest.raises(ValueError, match="formula 3 must have a finite index of refraction at all wavelengths"):
@@ -165,7 +165,7 @@ def flat():
 
 
 def mirrored(material, angle):
-    """XYZ of a flat material in the mirror direction, with C of a perfect mirror."""
+    """Return XYZ of a flat material in the mirror direction, with the geometry factor C of a perfect mirror."""
     wavelengths = np.arange(380, 781)
     reflected = flat_materials.reflectance(material, 1e-3 * wavelengths, math.cos(math.radians(angle)))
     to_light, to_view = at_angle(angle)[None], at_angle(-angle)[None]
@@ -176,7 +176,7 @@ def mirrored(material, angle):
 @pytest.mark.parametrize("name", ["Au", "Cr", "glass", "a film on aluminium"])
 @pytest.mark.parametrize("nodes", [0, 32], ids=["sampled", "table"])
 def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
-    """A mirror direction shows R(θ, λ), from sampled wavelengths and from a table alike."""
+    """In the mirror direction the colour follows from R(θ, λ), for sampled wavelengths and for a table."""
     heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
     plan = dataclasses.replace(
         wd.plan(heightfield, method="low-rank"), rings_per_octave=nodes, azimuths_per_width=1.3 * (nodes > 0)

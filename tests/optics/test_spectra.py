@@ -1,4 +1,4 @@
-"""Spectra of light sources: temperatures, files, names of colour-science, and refusals."""
+"""Spectra of light sources: temperatures, files, names of colour-science, and invalid arguments."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,12 @@ def white(illuminant):
     return colour_products(illuminant).sum(axis=0)
 
 
-def test_a_black_body_of_2855_kelvin_is_illuminant_a():
-    """CIE defines A by Planck's law with another second constant, which is a temperature of 2855.5 K with today's."""
+def test_a_black_body_of_2855_kelvin_equals_illuminant_a():
+    """The CIE defines illuminant A with an older radiation constant c₂; with today's value it has 2855.5 K."""
     np.testing.assert_allclose(white(wd.Spectrum.blackbody(2855.5)), white("A"), rtol=2e-4)
 
 
-def test_daylight_of_6504_kelvin_is_d65():
+def test_daylight_of_6504_kelvin_equals_d65():
     np.testing.assert_allclose(white(wd.Spectrum.daylight(6504.0)), white("D65"), rtol=2e-3)
 
 
@@ -28,9 +28,9 @@ def test_hot_and_cold_bodies_have_their_colours():
 
 
 @pytest.mark.parametrize("kelvin", [500.0, 2855.5, 1e5])
-def test_a_black_body_is_plancks_law_relative_to_560_nm(kelvin):
+def test_a_black_body_follows_plancks_law_relative_to_560_nm(kelvin):
     body = wd.Spectrum.blackbody(kelvin)
-    # With the second constant of CIE 15, 1.4388e-2 m K.
+    # CIE 15 uses the radiation constant c₂ = 1.4388e-2 m K.
     power = body.wavelengths_nm**-5 / np.expm1(1.4388e7 / (kelvin * body.wavelengths_nm))
     np.testing.assert_allclose(body.values, power / power[body.wavelengths_nm == 560.0], rtol=1e-6)
 
@@ -56,7 +56,7 @@ def test_spectra_are_equal_by_their_numbers():
     assert repr(wd.Spectrum.blackbody(3000.0)) == "Spectrum(name='black body of 3000 K')"
 
 
-def test_an_even_spectrum_is_illuminant_e_in_calls_and_pictures():
+def test_a_constant_spectrum_equals_illuminant_e_in_calls_and_pictures():
     even, heightfield = wd.Spectrum([300.0, 900.0], [2.0, 2.0]), wd.gratings.sinusoidal(1.2, 0.1)
     directions = (0.1, 0.2, 1.0), [(0.3, 0.0, 1.0), (0.0, -0.1, 1.0)]
     of_even, of_e = (wd.reflectance(heightfield, *directions, illuminant=i, tolerance=1e-3) for i in (even, "E"))

@@ -1,4 +1,4 @@
-"""Bounds: calls too small for a search meet their tolerance; each of these broke it once."""
+"""Upper-bound plans meet the tolerance of calls too small for a search. Each tested call failed once."""
 
 import math
 import warnings
@@ -16,9 +16,9 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 
 
 def ratio(heightfield, lights, views, tolerance, **options):
-    """The error over the tolerance."""
+    """Return the error of a call divided by its tolerance."""
     with warnings.catch_warnings():
-        # Warnings that the model is invalid for such a surface.
+        # Ignore warnings that the scalar model is invalid for such a surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         assert not wd.plan(heightfield, lights, views, tolerance=tolerance, **options).is_measured
     xyz = wd.reflectance(heightfield, lights, views, tolerance=tolerance, **options)
@@ -30,18 +30,18 @@ def ratio(heightfield, lights, views, tolerance, **options):
 
 
 def line_grating(levels, period_um):
-    """Heights [µm] along x, one period."""
+    """Return a height field of one period along x, with the given heights in µm."""
     return wd.HeightField.of_known_scale(np.asarray(levels)[None], (1.0, period_um / len(levels)))
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_third_orders_of_a_shallow_sine(rng, tolerance):
-    """Powers of third orders grow as κ⁶. Grazing views use the low end of κ, where float32 powers are inaccurate."""
+    """The power of third orders scales as κ⁶. At grazing views κ is small, and float32 powers are inaccurate."""
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)
     lights, views = np.repeat(lights, 2, axis=0)[:100], np.repeat(lights * [1.0, -1.0, 1.0], 2, axis=0)[:100]
-    # Two dark ones that widen the range of κ.
+    # Two dark directions are added, which widen the range of κ.
     lights[-2:], views[-2:] = [0.076, 0.064, 0.995], [-0.345, 0.588, 0.732]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -50,15 +50,15 @@ def test_third_orders_of_a_shallow_sine(rng, tolerance):
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction(rng, height_um, illuminant):
-    """Spectra oscillate as the height, under lines."""
+    """The spectra of tall steps oscillate quickly, and the illuminant consists of narrow lines."""
     heightfield = line_grating(np.repeat([height_um, 0.0], 32), 4.0)
     lights = hemisphere(rng, 40, 0.95)
     assert ratio(heightfield, lights, lights * [-1.0, -1.0, 1.0], 1e-4, illuminant=illuminant) <= 0.5
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
-def test_the_haze_about_a_sun(rng, tolerance):
-    """All that is seen is the tail of the mirror's lobe, a millionth of it and less."""
+def test_the_tail_of_the_lobe_around_a_mirrored_sun(rng, tolerance):
+    """All directions show only the tail of the mirror lobe, with at most a millionth of its peak reflectance."""
     source = wd.Coherence("source")
     away, turn = rng.uniform(5.2, 7.2, 120) * source.spread, rng.uniform(0.0, 2.0 * math.pi, 120)
     views = np.stack([away * np.cos(turn), away * np.sin(turn), np.sqrt(1.0 - away**2)], axis=1)
@@ -67,8 +67,8 @@ def test_the_haze_about_a_sun(rng, tolerance):
 
 
 @pytest.mark.parametrize("illuminant", ["FL11", "HP1"])
-def test_maps_under_lines(illuminant):
-    """Orders pass between lines of the illuminant."""
+def test_maps_under_illuminants_with_narrow_lines(illuminant):
+    """Diffraction orders can lie between the narrow lines of the illuminant."""
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
     lights = np.broadcast_to([0.0, 0.0, 1.0], (200, 3))
@@ -82,7 +82,7 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """Windows: samples per Gaussian of width 1/σ, and per cycle of the height range, both as the sixth root."""
+    """For Gaussian windows, the bandwidths of rate and height are proportional to tolerance^(−1/6)."""
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
     np.testing.assert_allclose(
@@ -92,7 +92,7 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # Replicas: samples per order of the patch, whose phases turn with the height; cubics.
+    # For replicas, bandwidths are samples per order of the patch, proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -100,18 +100,18 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
 
 def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
-    """Equal ratios are furthest apart in 1/λ at 380 nm; a Gaussian of the source is its spread wide, in ln λ."""
+    """Wavelengths of a source have equal ratios, which are furthest apart in 1/λ at 380 nm."""
     source, window = wd.Coherence("source", angular_diameter_deg=3.0), wd.Coherence(sigma_um=5.0)
     of_source, of_window = (bounds.bandwidth_um(fingers, coherence, 1e-2) for coherence in (source, window))
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # Samples per deviation are the same: those over the band times the deviation over the band.
+    # A source and a window require the same number of samples per standard deviation of their Gaussians.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 
 
-def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengths_serve(fingers):
+def test_bounds_of_a_grazing_source_limit_the_order_rate_to_that_of_their_wavelengths(fingers):
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     near, grazing = (DirectionRange(1.9, rate, 0.01, 1.2) for rate in (3.0, 1e4))
     plan = upper_bound(fingers, near, coherence=source)
@@ -120,11 +120,11 @@ def test_bounds_of_a_grazing_source_end_with_the_order_rate_that_their_wavelengt
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # As many intervals between wavelengths as the set has wavelengths.
+    # The predicted number of wavelengths includes one interval more than the set of wavelengths has.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 
-def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for_spectra(fingers):
+def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_error_for_spectra(fingers):
     direction_range = DirectionRange(1.5, 1.5, 0.3, 1.7, 400.0, 700.0)
     plan = upper_bound(fingers, direction_range, wavelengths_nm=np.array([400.0, 700.0]))
     assert plan.direction_range == direction_range
@@ -138,7 +138,7 @@ def test_bounds_hold_for_the_range_of_a_call_and_predict_no_quadrature_error_for
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """There are N lobes for each of the patch's orders, which pass by √2 times as fast on the diagonal."""
+    """A patch with N periods has N lobes per order. Along the diagonal, lobes are closer by a factor of √2."""
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(
         fingers, DirectionRange(1.9, rate, 0.1, 2.0), coherence=wd.Coherence("replicas", periods=(60, 9))

@@ -1,4 +1,4 @@
-"""Coordinate search on trials whose errors are closed forms: against an exhaustive search, and step by step."""
+"""Coordinate search with closed-form errors of plans: comparison with an exhaustive search, and single steps."""
 
 import dataclasses
 import itertools
@@ -12,21 +12,21 @@ import warpdiff as wd
 from warpdiff.planner import coordinate_search, cost_model
 from warpdiff.planner.coordinate_search import Coordinate
 
-# A search's target at a tolerance of 1e-2: the tolerance over the safety factor of 1.6.
+# Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Steps per octave of a bandwidth, and terms per SIMD register.
+# Ratio of neighbouring bandwidths (4 steps per octave), and number of terms per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """A plan with 32 terms and more of everything than required."""
+    """Return a plan with 32 terms whose other numbers exceed the requirements of the tolerance."""
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 
 
 class ClosedForm:
-    """Trial whose error is a sum of what terms, neighbours and both parts of the bandwidth leave."""
+    """Stand-in for a trial of plans. The error is the sum of errors of terms, neighbourhood and bandwidth."""
 
     integrates, max_order_rate, bright = True, 1.0, (math.inf, math.inf)
     validation_set = range(7)
@@ -39,7 +39,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Errors of the terms, the neighbours and the bandwidth."""
+        """Return the errors caused by the number of terms, by the neighbourhood and by the bandwidth."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -66,7 +66,7 @@ def cost(trial, plan):
 
 
 def exhaustive(trial, start, target):
-    """The least cost of all plans on a grid of terms, neighbours and bandwidths that meet a target."""
+    """Return the least cost of all plans that meet a target, on a grid of terms, neighbourhoods and bandwidths."""
     counts = range(REGISTER, start.terms + 1, REGISTER), range(12), range(13)
     per_rate, per_w, constant = start.bandwidth_um
     least = math.inf
@@ -78,7 +78,7 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # The smallest bandwidth has the least cost.
+        # The sufficient plan with the smallest bandwidth has the least cost.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -86,12 +86,12 @@ def exhaustive(trial, start, target):
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
-    """A validation error that exceeds the training error takes repairs, by one or two steps."""
+    """If the validation error exceeds the training error, the plan is refined by one or two steps."""
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Bisection of 4, 9 and three times 13 steps.
+    # Searches over 4 and 9 steps, and three searches over 13 steps, evaluate at most 20 plans in total.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -124,7 +124,7 @@ def test_steps_beyond_the_fewest_wavelengths_are_withdrawn(fingers, start):
 
 
 class Steps:
-    """Trial whose validation error depends on how many more terms and wavelengths a plan has."""
+    """Stand-in for a trial of plans. The error is a given function of the added terms and wavelengths."""
 
     rates = np.array([0.5]), np.array([1.0]), np.ones(1)
 
@@ -151,8 +151,8 @@ class Steps:
     ],
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
-def test_repairs_take_the_cheapest_step_that_suffices_or_the_best_one(fingers, start, error, finer):
-    """A term more costs less than a hundredth of the wavelengths more."""
+def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
+    """Adding one term is cheaper than adding one per cent of the wavelengths."""
     plan = dataclasses.replace(start, terms=9, wavelengths=100, adaptive=False)
     replace = dataclasses.replace
     coordinates = [
@@ -175,13 +175,15 @@ def test_repairs_take_the_cheapest_step_that_suffices_or_the_best_one(fingers, s
         (7e-3, 100.0, 1.12e-2),
     ],
 )
-def test_predicted_errors_have_a_factor_by_which_directions_were_tried(start, error, bright, predicted):
-    """1.6 if all were, else 2 as far as that stays within the tolerance; a tenth of the tolerance at least."""
+def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
+    start, error, bright, predicted
+):
+    """The safety factor is 1.6 if all directions were tried, else up to 2. The result is at least tolerance/10."""
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
 
 
-def test_terms_are_whole_registers_of_those_that_a_basis_has(start):
+def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
     trial = SimpleNamespace(most_terms=lambda _plan: 29)
     for terms, registers, expected in [(9, 0, 16), (9, 1, 24), (9, 2, 29), (9, -1, 8), (9, -5, 8), (24, -1, 16)]:
         plan = dataclasses.replace(start, terms=terms)
@@ -191,8 +193,8 @@ def test_terms_are_whole_registers_of_those_that_a_basis_has(start):
 
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
-def test_amplitudes_replace_powers_that_cancel(start, of_amplitudes, automatic):
-    """Only if their error is less than half as large."""
+def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
+    """A series of amplitudes replaces the series of powers only if its error is less than half as large."""
     trial = SimpleNamespace(integrates=False, reference=dataclasses.replace(start, method="jacobi-anger", terms=40))
     trial.order_rate = trial.w = np.ones(1)
     trial.training_error = lambda plan: of_amplitudes if plan.method == "jacobi-anger" else 1.0
@@ -204,7 +206,7 @@ def test_amplitudes_replace_powers_that_cancel(start, of_amplitudes, automatic):
 
 @pytest.mark.parametrize("octaves", [0.0, 0.7, 2.5])
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
-    """Errors fall with the sixth power of the bandwidth; half of the target remains for the search."""
+    """The error scales as bandwidth⁻⁶. The bandwidth is doubled until the error is at most half of the target."""
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
         TARGET / 2.0 * (2.0**octaves * start.bandwidth_um[0] / plan.bandwidth_um[0]) ** 6
@@ -221,8 +223,8 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
     assert coordinate_search._sufficient(start, trial, TARGET, automatic=True) == (start, TARGET)
 
 
-def test_a_smaller_bandwidth_serves_larger_order_rates_with_as_many_wavelengths(fingers):
-    """The set of wavelengths of a grazing source may be cut short; the rates of the call are enough."""
+def test_a_smaller_bandwidth_allows_larger_order_rates_with_the_same_number_of_wavelengths(fingers):
+    """The wavelengths of a grazing source are limited in number, but suffice for the order rates of the call."""
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
     count = cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w)
@@ -251,7 +253,7 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Bandwidths differ from those for a tolerance of 1e-2 by whole quarter octaves, and weights by powers of e."""
+    """Bandwidths are whole quarter octaves away from those for a tolerance of 0.01, and weights are powers of e."""
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
     ]
@@ -267,11 +269,12 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """With few bright directions only a tenth of what is left is spent, and all neighbours stay."""
+    """With few bright directions, terms get a tenth of their error budget, and the neighbourhood stays unchanged."""
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
-    # Three of 32 terms' four registers, e^8 up to a weight of 1e-5, and three octaves.
+    # Largest numbers of steps: 3 of 4 registers of terms, 8 factors of e up to a weight of 1e-5, and 12 quarter
+    # octaves.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

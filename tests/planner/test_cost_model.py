@@ -1,4 +1,4 @@
-"""Cost model: proportions of its numbers."""
+"""Cost model: how its estimates scale with the numbers of a plan."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from warpdiff.tables import mip_layout
 
 
 def sampling(heightfield, plan, **changes):
-    """Cost of one direction of a plan that takes all its wavelengths."""
+    """Return the cost of one direction for a plan that always uses all its wavelengths."""
     plan = dataclasses.replace(plan, adaptive=False, **changes)
     return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
 
@@ -34,7 +34,7 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # Neighbours lie in an ellipse whose axes grow with the root of the exponent.
+    # The neighbourhood is an ellipse, whose axes are proportional to the square root of the exponent.
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -55,7 +55,7 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_tables_spectrum_cost_as_many_terms_as_lie_within_the_radius_of_neighbours(fingers):
-    """The weight exp(−4π²σ² q²) is the least at a radius, whose circle has a coefficient in each 1/area."""
+    """Neighbours have a weight exp(−4π²σ²q²) of at least the least weight: a circle with one coefficient per 1/area."""
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [
         cost_model.table_multiply_adds(fingers, dataclasses.replace(plan, terms=terms, least_weight=math.exp(-n)))
@@ -78,16 +78,16 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
-    # Twice the coefficients within a circle are lines.
+    # The number of lines in a table is twice the number of coefficients within a circle.
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # A line has 7 by 6 nodes: 8 terms more are 336 multiply-adds; it costs 150 in addition.
+    # Each line costs 150 multiply-adds plus 42 per term (one per node), so 8 more terms cost 336.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
 def test_directions_cost_as_many_wavelengths_as_they_require():
-    """Half of a step of the sets of wavelengths more, and all of the plan's at most."""
+    """The sizes of wavelength sets are geometric steps. A direction uses on average half a step more than required."""
     heightfield = noise((6, 16))
     plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
     plan = dataclasses.replace(plan, wavelengths=400, bandwidth_um=(200.0, 20.0, 10.0))
@@ -101,7 +101,7 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 
 
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
-    """Their number is the product of twice the radius by each length; an axis of one sample has one order."""
+    """The number of neighbours is the product of 2 · radius · length over both axes, except for one-sample axes."""
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
     radius = math.sqrt(-math.log(plan.least_weight)) / (2.0 * math.pi * plan.coherence.sigma_um)
@@ -115,8 +115,8 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
     np.testing.assert_allclose(increases[1] / increases[0], np.divide(*(steps + parts * expected)[::-1]), rtol=1e-6)
 
 
-def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_function_of_w():
-    """Without a number of functions, as many as terms in whole registers."""
+def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
+    """Without a given number, a table has as many basis functions of w as terms, in whole SIMD registers."""
     plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
     for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:
         sized = dataclasses.replace(plan, w_basis_size=size, terms=terms)

@@ -1,4 +1,4 @@
-"""Edges of what plans support: widths of neighbourhoods, and the Nyquist limit of a pitch."""
+"""Limits of supported plans: size of the neighbourhood, and the Nyquist limit of the pitch."""
 
 from types import SimpleNamespace
 
@@ -10,7 +10,7 @@ from warpdiff.planner import refusals
 
 @pytest.mark.parametrize(("extent", "supported"), [((100, 99), True), ((100, 100), False)])
 def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, extent, supported):
-    """201 × 199 coefficients are below the limit of 40,000; 201 × 201 exceed it, but 200 × 200 would not."""
+    """A neighbourhood of 201 × 199 coefficients is within the limit of 40,000, and one of 201 × 201 exceeds it."""
     monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
     plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
     if supported:
@@ -30,7 +30,7 @@ def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, ext
     ids=["a window between samples", "a direct sum", "all windows"],
 )
 def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
-    """At 0.4 µm and a pitch of 0.25 µm the limit is 0.8, less 0.4 times the radius of neighbours [1/µm]."""
+    """With a pitch of 0.25 µm, |(u, v)| at 0.4 µm is limited to 0.8 − 0.4 µm · (neighbourhood radius in 1/µm)."""
     heightfield = wd.HeightField([[0.0, 0.1, 0.2, 0.1]], pitch_um=0.25)
     monkeypatch.setattr(refusals.coefficient_table, "radius", lambda _plan: 0.5)
     plan = SimpleNamespace(coherence=coherence, method=method)
@@ -49,7 +49,7 @@ def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherenc
         (wd.Coherence(sigma_um=1e15), "sigma_um"),
     ],
 )
-def test_the_longest_coherence_is_refused_by_its_own_name(coherence, name):
+def test_too_long_a_coherence_is_refused_by_its_argument_name(coherence, name):
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     for call in (lambda: wd.plan(heightfield, coherence=coherence), lambda: wd.bake(heightfield, coherence=coherence)):
         with pytest.raises(wd.ToleranceError, match=f"^{name}=1e.?15|^{name}=1000000000000000"):

@@ -1,4 +1,4 @@
-"""Regimes: the automatic choice meets its tolerance where other computations break, or names the reason."""
+"""Automatic plans in regimes where other methods fail: each result meets the tolerance or is refused with a reason."""
 
 import math
 
@@ -16,7 +16,7 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """A surface, directions and a coherence with their true colours."""
+    """Height field, directions and coherence model, with reference colours."""
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence
@@ -27,7 +27,7 @@ class Case:
 
     @property
     def automatic(self):
-        """The error of the automatic choice; a warning or a refusal fails the test."""
+        """Error of the automatic plan. A warning or a refusal fails the test."""
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 
@@ -45,7 +45,7 @@ class Case:
         return self.error_of(rho @ weights)
 
 
-# Windows: too few neighbours of short ones, orders of long ones that pass between wavelengths.
+# Regime of coherence windows: short ones need many neighbours; long ones have orders narrower than wavelength steps.
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_automatic_choice_over_windows(line, kind, sigma):
     assert Case(line, methods.in_plane(32, 1.8), wd.Coherence(kind, sigma)).automatic <= TOLERANCE
 
 
-def test_other_choices_break_over_windows(line):
+def test_other_methods_fail_for_some_windows(line):
     directions = methods.in_plane(48, 1.8)
     short, middle, long = (Case(line, directions, wd.Coherence(sigma_um=sigma)) for sigma in (3.0, 10.0, 100.0))
     assert short.neighbours() > 0.1
@@ -69,7 +69,7 @@ def test_other_choices_break_over_windows(line):
     assert long.fixed_steps(1.0) > 0.1
 
 
-def test_windows_out_of_reach_are_refused_with_the_remedy(line):
+def test_windows_that_are_too_long_are_refused_with_the_remedy(line):
     up = [0.0, 0.0, 1.0]
     with pytest.raises(ValueError, match=r"sigma_um=0\.01 is too short.* crop the height field"):
         wd.reflectance(wd.gratings.fingers(), up, [0.5, 0.0, 0.8], coherence=wd.Coherence(sigma_um=0.01))
@@ -78,7 +78,7 @@ def test_windows_out_of_reach_are_refused_with_the_remedy(line):
         wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
 
 
-# Patches: large ones have orders closer than nine neighbours reach, and all have more than 81 wavelengths see.
+# Regime of patch sizes: orders of large patches are too close for 9 neighbours; all patches need over 81 wavelengths.
 
 
 @pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
@@ -87,7 +87,7 @@ def test_automatic_choice_over_patches(size):
     assert Case(heightfield, methods.hemisphere_pairs(32, 0.4)).automatic <= TOLERANCE
 
 
-def test_other_choices_break_over_patches():
+def test_other_methods_fail_for_some_patch_sizes():
     usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(24))
     assert usual.fixed_steps(5.0) > 0.1
     assert usual.fixed_steps(1.0) < TOLERANCE
@@ -100,7 +100,7 @@ def test_other_choices_break_over_patches():
     assert line.automatic <= TOLERANCE
 
 
-# |(u, v)|: wavelengths are too few far from the mirror direction, one point an order is too few close to it.
+# Regime of |(u, v)|: far from the mirror direction 81 wavelengths are too few; close to it, one point per order is.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])
@@ -116,7 +116,7 @@ def test_automatic_choice_over_scattering_vectors(uv):
         assert case.fixed_steps(5.0) > 0.1
 
 
-# Grazing: 1 + ωi·ωr cancels, sources are foreshortened.
+# Regime of grazing directions: 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
 
 
 @pytest.mark.parametrize("elevation", [0.1, 1.0, 10.0])
@@ -133,9 +133,10 @@ def test_automatic_choice_towards_the_horizon(elevation, spread):
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
 def test_a_mirror_far_brighter_than_the_visible_directions(count, seed):
-    """All that is seen at the horizon is a millionth of the mirror, whose Gaussian's tail must not show.
+    """The visible directions have a millionth of the mirror's reflectance, and must not contain its Gaussian tail.
 
-    Powers cancel there, too: few directions, which are else not searched for, must not keep their series.
+    The series of powers cancels there, too. Calls with few directions must replace this series although they skip the
+    search.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -156,7 +157,7 @@ def test_sources_towards_the_horizon(elevation, spread):
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
-    """Foreshortened some hundred times: bounds that are cut short are widened, and judged by what is finer still."""
+    """The source is foreshortened more than 100 times. Widened bounds are compared with a finer reference."""
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
         Case(heightfield, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic
@@ -166,7 +167,7 @@ def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
 def test_a_source_that_grazes_beyond_reach_is_refused(count):
-    """Foreshortened a thousand times, its colours take more wavelengths than there are: right, or refused."""
+    """The source is foreshortened 1000 times and may require too many wavelengths. The result is correct or refused."""
     heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(count, 0.2)
     xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, coherence=source)
@@ -178,14 +179,14 @@ def test_a_source_that_grazes_beyond_reach_is_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# The pitch: what aliases, no reference on the same samples can tell.
+# Regime of pitch: a reference on the same samples cannot detect aliasing, so the test uses a closed form.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
 
 
 def sine_colour(lights, views):
-    """XYZ of the sine itself: |H_m|² = J_m(πκ·depth)²."""
+    """Return XYZ of a continuous sine grating, from |H_m|² = J_m(πκ·depth)²."""
     tau, weights = reference.quadrature(64, "D65")
     scattering_vectors = -(lights + views)
     theta = 2.0 * math.pi * np.arange(64) / 64
@@ -200,20 +201,20 @@ def test_pitches_around_their_limit():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
-    # The limit is 0.1 µm.
+    # The largest pitch without aliasing is 0.1 µm, so 16 samples suffice and 12 do not.
     for samples in (80, 20, 16):
         xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The reference on the same samples finds nothing wrong.
+        # The result equals a reference on the same samples, although both are wrong by aliasing.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
         assert len(caught) == 1
         assert methods.colour_error(xyz, on_samples) <= TOLERANCE
         assert methods.colour_error(xyz, exact) > TOLERANCE
-        # And this is what the warning recommends.
+        # Resampling, as the warning recommends, restores the accuracy.
         xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
@@ -221,7 +222,7 @@ def test_pitches_around_their_limit():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_limit(seed, side):
-    """Neighbours beyond the limit are those within, but for the phase that a window between samples gives them."""
+    """Beyond the Nyquist limit coefficients repeat, with other phases if the window is between samples."""
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
     arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0
@@ -230,7 +231,7 @@ def test_a_window_between_samples_close_to_the_limit(seed, side):
     assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
 
 
-# Copies: the published form loses all digits near a resonance, and so does a sine of an argument that is not reduced.
+# Regime of replicas: near a resonance the published form loses all digits, as do float32 sines of large arguments.
 
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])
@@ -264,7 +265,7 @@ def test_replicated_periods_near_resonance(periods, away):
 
 
 def test_the_published_form_of_replicated_periods():
-    """The design's figures, of angles wT: 5 % off at 1e-3, nothing at 1e-4."""
+    """In float32 the published form has an error of 5 % at an angle wT of 1e-3, and is not finite at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
             methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)
@@ -277,8 +278,8 @@ def test_the_published_form_of_replicated_periods():
         assert not math.isfinite(single[1])
 
 
-def test_few_orders_do_not_make_a_patch():
-    """Between its orders a patch's spectrum converges so slowly that seven of them are off by more than 5 %."""
+def test_seven_orders_do_not_suffice_for_a_patch():
+    """Between orders, the spectrum of a patch converges slowly: a sum of seven orders has an error of more than 5 %."""
     heightfield, one_copy = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, 1))
     scattering_vectors = np.array(
         [[turns * 0.5 / heightfield.size_um[1], 0.0, -1.6] for turns in (1.5, 2.4, 3.5, 5.45, 7.5)]

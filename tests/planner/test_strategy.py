@@ -1,4 +1,4 @@
-"""Strategy: directions of a plan."""
+"""Strategy: direction ranges of a call, and the choice between bounds, search and table."""
 
 import dataclasses
 import math
@@ -42,7 +42,7 @@ def test_directions_below_the_horizon_do_not_widen_the_range(is_light, request_o
 
 @pytest.mark.parametrize(("side", "light", "view"), [("light", at_angle(30.0), None), ("view", None, at_angle(30.0))])
 def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, request_of_fingers):
-    """From one direction at an angle θ, |(u, v)| reaches 1 + sin θ, and |w| lies between cos θ and 1 + cos θ."""
+    """For one direction at angle θ, |(u, v)| is at most 1 + sin θ, and |w| is between cos θ and 1 + cos θ."""
     direction_range, sample, count = strategy.directions_of(request_of_fingers, light, view)
     assert math.isinf(count)
     assert direction_range.max_uv == pytest.approx(1.5)
@@ -51,7 +51,7 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # Uniform in z.
+    # The directions of the unspecified side are uniform in z over the hemisphere.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -70,13 +70,13 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
-    """A search takes the time of 16,000 directions of its plan; each direction saves that of ``saving`` − 1 of them."""
+    """A search costs as much as 16,000 directions of its plan. Each direction then saves ``saving`` − 1 such costs."""
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
     count = 16_000.0 / (saving - 1.0)
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
-    # Bounds that do not cover the call are always tried.
+    # A search always starts if the upper-bound plan does not cover the directions of the call.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 
@@ -89,7 +89,7 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """Compared with the plan of a search, which costs a part of the bounds and the time of 16,000 directions."""
+    """A table may cost what it saves in three calls, compared with a search, which costs 16,000 directions."""
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
     bounded = wd.plan(fingers, at_angle(0.0), at_angle(30.0), coherence=settings.coherence, tolerance=1e-1)
@@ -149,10 +149,10 @@ def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_hal
         ({}, None, "search"),
     ],
 )
-def test_a_table_is_taken_if_it_meets_the_tolerance_or_is_explicit(
+def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """Means over footprints may use up the safety factor of 1.6, since points have larger errors."""
+    """Tables for footprint means need no safety factor of 1.6, because means have smaller errors than points."""
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
     upper = bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -171,7 +171,7 @@ def test_a_table_is_taken_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # The bounds serve directions that are dark, unless bounds were cut short.
+    # If all directions are dark, the upper-bound plan is used, unless it does not cover the call's order rates.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)
@@ -179,7 +179,7 @@ def test_a_table_is_taken_if_it_meets_the_tolerance_or_is_explicit(
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("averaged", 1.0), ("centred", 16.0)])
-def test_pixels_that_show_means_without_a_table_have_many_rays(fingers, monkeypatch, kind, factor):
+def test_pixels_with_footprints_but_without_a_table_have_many_rays(fingers, monkeypatch, kind, factor):
     coherence = wd.Coherence(kind, 3.25)
     request = Evaluation.of(fingers, PlanSettings(coherence=coherence), illuminants=("D65",), footprint=True)
     counts = []

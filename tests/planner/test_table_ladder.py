@@ -1,4 +1,4 @@
-"""Table ladder on trials whose errors are closed forms: the smallest table that meets the target, in few steps."""
+"""Choice of the table size with closed-form errors: the smallest sufficient table, in few steps."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# The size that is tried first at this tolerance.
+# Table size, in rings per octave, that the search tries first at this tolerance.
 FIRST = 48
 
 
@@ -25,9 +25,10 @@ def plan(fingers):
 
 
 class Tables:
-    """Trial whose tables meet the target from a number of rings on, with errors of second order, or of any law.
+    """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
-    Sampled wavelengths have an error by the number of terms.
+    Tables meet the target from ``sufficient`` rings per octave on. Sampled plans have an error that depends on their
+    terms.
     """
 
     validation_set = range(5)
@@ -67,7 +68,7 @@ def cost(trial, rings):
 
 @pytest.mark.parametrize(("sufficient", "count"), [(16, 1), (32, 1), (48, 1), (64, 2), (96, 2), (128, 3)])
 def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
-    """None has more than twice the rings of the one before; none smaller than the first one is tried."""
+    """Each table has at most twice the rings of the previous one. No table smaller than the first one is tried."""
     trial = Tables(fingers, plan, sufficient)
     table = trial.smallest()
     assert table.rings_per_octave == max(sufficient, FIRST)
@@ -88,7 +89,7 @@ def test_few_bright_directions_or_separate_orders_begin_with_a_larger_table(fing
     assert Tables(wd.gratings.sinusoidal(2.0, 0.1), plan, 16).smallest().rings_per_octave == 64
 
 
-def test_tables_that_miss_the_target_serve_footprints_and_explicit_calls_alone(fingers, plan):
+def test_tables_that_miss_the_target_are_used_only_for_footprints_and_explicit_calls(fingers, plan):
     for options, rings in [({}, None), ({"footprint": True}, FIRST), ({"needed": True}, 128)]:
         table = Tables(fingers, plan, 500).smallest(**options)
         assert (table and table.rings_per_octave) == rings
@@ -107,7 +108,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs one has the largest that it can afford.
+    # A call that needs a table gets the largest one that it can afford.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
@@ -123,7 +124,7 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 
 @pytest.mark.parametrize(("richer", "expected"), [(0.6, (64, 12)), (0.8, None)])
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
-    """They are the last thing that is tried if they do not help either."""
+    """If more basis functions of w do not reduce the error either, the search for a table ends."""
     trial = Tables(fingers, plan, law=lambda table: 1.5 * TARGET * (richer if table.w_basis_size > 8 else 1.0))
     table = trial.smallest()
     assert (table and (table.rings_per_octave, table.w_basis_size)) == expected
@@ -132,7 +133,7 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """An error of half the order's decrease is another one's."""
+    """If more rings reduce the error by less than expected, the number of basis functions of w is the limit."""
     law = {(48, 8): 2.9, (96, 8): 1.6, (96, 12): 0.9}
     trial = Tables(fingers, plan, law=lambda table: TARGET * law[table.rings_per_octave, table.w_basis_size])
     table = trial.smallest()
@@ -147,8 +148,8 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
     assert (table.rings_per_octave, table.w_basis_size) == (128, 12)
 
 
-def test_the_fewest_terms_within_half_of_the_target_are_read_off_the_residuals(fingers, plan):
-    """With 8 terms the error is the target; four terms more divide it by ten, and two by 3.2."""
+def test_the_fewest_terms_within_half_of_the_target_follow_from_the_residuals(fingers, plan):
+    """With 8 terms the error equals the target. Four more terms divide the error by 10, and two more by 3.2."""
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
     table = trial.smallest()
@@ -160,7 +161,7 @@ def test_the_fewest_terms_within_half_of_the_target_are_read_off_the_residuals(f
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """The table is made anew of the same size if they explain half of its error; sampling is tried with them once."""
+    """Sampling is tried once with more terms. If the terms explain half of a table's error, the table is made again."""
 
     def law(table):
         return TARGET * (1.5 if table.terms == 10 and table.rings_per_octave == FIRST else 0.5)

@@ -1,4 +1,4 @@
-"""Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and former failures."""
+"""Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and calls that failed once."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Calls whose truth is cheap; the sweep has large ones.
+# Seed and indices of the tested calls, whose references are cheap. ``tolerance_sweep`` also has large calls.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -17,15 +17,15 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
-    """Fingers stand in for a scan that is not there."""
+    """Return the measured scan, or None if the file is missing, so that tests use synthetic fingers."""
     return inputs.levelled_scan()
 
 
 def check(case: Configuration, count: int = 400) -> None:
-    """A call against the reference on some of its directions, of large ones on such as the plan has not read."""
+    """Compare a call with the reference on some directions; in large calls, on directions that the plan did not use."""
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
-    # Bright ones come first.
+    # The chosen directions are sorted by brightness, the brightest first.
     places = np.linspace(0, len(chosen) - 1, min(count, len(chosen))).astype(int)
     chosen, weights = chosen[places], weights[places]
     figure = judge.figure(result.xyz[chosen], judge.truth(case, result, chosen), weights, white=result.white)
@@ -41,11 +41,11 @@ def call(heightfield: wd.HeightField, tolerance: float = 1e-2, **others: object)
 
 
 @pytest.mark.parametrize("index", LISTS)
-def test_tolerance_is_kept(index, scan_or_none):
+def test_tolerance_is_met(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
 
 
-# Either diagonal, and either tolerance.
+# The two cases cover both diagonals and both tolerances.
 @pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
 def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
@@ -78,11 +78,11 @@ def test_grazing_directions():
 
 
 @pytest.mark.parametrize("bright", [2, 40])
-def test_a_call_with_hardly_any_light_is_not_dark(bright, rng):
-    """Between its orders a sine reflects nothing; what few directions see of it counts."""
+def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
+    """A sine reflects no light between its orders. The few directions at an order must be accurate."""
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # Across the grating, but for some that look along its first order.
+    # Most directions are across the grating and dark; a few are near its first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -102,7 +102,7 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    # The tight ones take seconds each where all of the hemisphere is asked for.
+    # For the whole hemisphere, plans with tight tolerances need several seconds each, so they are skipped.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
     plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
     costs = [plan.multiply_adds for plan in plans]
@@ -116,7 +116,7 @@ def test_a_configuration_follows_from_its_index_and_seed():
     assert str(configuration(33)) != str(configuration(33, seed=1))
 
 
-def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bright_ones(rng):
+def test_the_figure_includes_errors_of_one_per_cent_of_the_directions_and_of_the_bright_ones(rng):
     exact = rng.uniform(0.5, 1.0, (5000, 3)) * np.where(np.arange(5000) < 500, 1.0, 1e-5)[:, None]
     wrong = np.array(exact)
     wrong[4900:] += 1e-4
@@ -129,13 +129,13 @@ def test_the_judge_sees_an_error_in_a_hundredth_of_the_directions_and_in_the_bri
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """Steps of the bandwidth beyond the smallest set had left repairs without effect: an error of three tolerances."""
+    """Repairs of a plan once had no effect on the smallest set of wavelengths, and its error was 3 × tolerance."""
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32
     assert plan.error < 1e-2
 
 
-def test_directions_that_a_plan_read_are_not_judged(rng):
+def test_directions_that_a_plan_used_are_not_judged(rng):
     z, phi = rng.uniform(0.1, 1.0, 40_000), rng.uniform(0.0, 2.0 * np.pi, 40_000)
     s = np.sqrt(1.0 - z * z)
     views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)

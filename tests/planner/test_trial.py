@@ -1,4 +1,4 @@
-"""Trials: values are those of the public functions, and errors are percentiles of them."""
+"""Trials evaluate plans on sampled directions: their values equal those of the public functions."""
 
 import dataclasses
 import math
@@ -19,7 +19,7 @@ ILLUMINANTS = "D65", "A"
 
 
 def trial_of(request, lights, views):
-    """The trial of a call and the plan from bounds."""
+    """Return the trial of a call, which evaluates plans on sampled directions, and the upper-bound plan."""
     direction_range, sample, _ = strategy.directions_of(request, lights, views)
     coarse = strategy._coarse_plan(request, direction_range)
     upper = strategy.bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -29,7 +29,7 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """A trial of 60 directions under two illuminants, its plan, and the directions."""
+    """Return a trial of plans on 60 directions under two illuminants, the plan, and the directions."""
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
     request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)
@@ -47,7 +47,7 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """Each of the 60 directions has more than half a percent of the weight; 1e-3 of the brightest one is the floor."""
+    """Each of the 60 directions has more than 0.5 % of the weight, so the percentile of errors is their maximum."""
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
     largest, of_half = [], []
@@ -66,7 +66,7 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # Directions beyond the order rate that the reference serves are not judged by it.
+    # Directions with order rates beyond the range of the reference are not compared with it.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -80,7 +80,7 @@ def test_a_basis_has_the_terms_that_were_fitted_and_a_series_those_of_the_bounds
     assert measured.most_terms(dataclasses.replace(plan, method="taylor")) == plan.terms
 
 
-def test_spectra_are_those_of_the_public_function(fingers, rng):
+def test_spectra_equal_those_of_the_public_function(fingers, rng):
     gold, wavelengths = wd.Material.metal("Au"), np.linspace(400.0, 700.0, 5)
     lights, views = hemisphere(rng, 40, 0.3), hemisphere(rng, 40, 0.3)
     settings = SpectralSettings(coherence=SHORT, tolerance=1e-1, material=gold)
@@ -103,7 +103,7 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Two percent are seen by the percentile; a percent of the light is not, by the median.
+    # Two per cent of the directions change the 99th percentile. One per cent of the light does not change the median.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     weights[-20:] = 0.25
@@ -112,8 +112,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     assert trial.reference_luminance(np.zeros(9), np.zeros(9)) == 0.0
 
 
-def test_the_worst_percentile_is_that_of_bright_or_of_dim_directions():
-    """The least error that 99.5 % of the weight does not exceed, of each illuminant and of both kinds."""
+def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
+    """The worst percentile is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
     group = SimpleNamespace(weights=np.ones(2000), above=above)
@@ -144,7 +144,7 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """The illuminant with the fewest counts; a floor without the brightest directions is lower."""
+    """The number of bright directions is that of the illuminant with the fewest, once per luminance floor."""
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
     group.above = above
@@ -166,10 +166,8 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
     assert trial.Trial.any_light.fget(measured) is expected
 
 
-def test_a_spectrum_is_as_bright_as_its_brightest_point_and_the_lowest_floor_limits_bright_directions(
-    fingers, monkeypatch
-):
-    """The sets are drawn by these two: the dimmest point, or a floor with the brightest directions, draws others."""
+def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
+    """The maximum over wavelengths and the lowest floor select the sets. The minimum would select others."""
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
     wavelengths = np.array([400.0, 700.0])
@@ -204,6 +202,6 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # All directions are candidates: no floor is without the brightest ones.
+    # In a call of this size all directions are candidates, so there is only one luminance floor.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -1,4 +1,4 @@
-"""Training and validation sets: they are disjoint, and either represents the whole call."""
+"""Training and validation sets are disjoint, and each set represents the whole call."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_either_set_represents_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # All, the bright and the edge cases have shares of 1, 1 and 1/4. A fifth of the first two are edge cases.
+        # Uniform, bright and edge-case directions have shares of 1, 1 and 1/4. A fifth of the first two are edge cases.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
@@ -38,12 +38,12 @@ def test_few_candidates_are_all_validation_directions(count, rng):
     assert training.weights.sum() == pytest.approx(count, rel=0.2)
 
 
-def test_directions_of_a_large_measure_are_drawn_once_and_the_others_in_their_place(rng):
-    """Each direction stands for itself over the probability that it is drawn."""
+def test_directions_with_a_large_measure_are_drawn_only_once_and_other_directions_replace_repeats(rng):
+    """The weight of a drawn direction is its original weight divided by the probability that it is drawn."""
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
-    # 100 draws meet all of the first ten; without these, 50 is more than its share as well.
+    # Among 100 draws, the first ten directions and the direction with a measure of 50 are always included.
     measure[:10], measure[10] = 1e3, 50.0
     drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
     index = {tuple(light): k for k, light in enumerate(lights)}
@@ -56,7 +56,7 @@ def test_directions_of_a_large_measure_are_drawn_once_and_the_others_in_their_pl
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
-    """A sine's first order, anywhere in the visible band; all other directions look past it, or are dim."""
+    """Twelve directions show the first order of a sine in the visible band. All others miss the order, or are dim."""
     grating = wd.gratings.sinusoidal(2.0, 0.1)
     heights = np.tile(grating.heights_um, (6, 1))
     pitch = 0.15, grating.pitch_um[1]

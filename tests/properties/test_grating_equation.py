@@ -1,4 +1,4 @@
-"""Peaks of periodic gratings lie where sin θi + sin θr = mλ/d says."""
+"""The peaks of periodic gratings are at the angles of the grating equation, sin θi + sin θr = mλ/d."""
 
 import math
 
@@ -8,7 +8,7 @@ from conftest import at_angle
 
 import warpdiff as wd
 
-# Each grating with its period along x [µm].
+# Gratings with their period along x in µm, or None if it equals the width of the field.
 GRATINGS = {
     "sinusoidal": (wd.gratings.sinusoidal(2.0, 0.3), 2.0), "lamellar": (wd.gratings.lamellar(1.2, 0.15), 1.2),
     "blazed": (wd.gratings.blazed(2.5, 0.25), 2.5), "CD": (wd.gratings.disc("CD"), 1.6),
@@ -20,7 +20,7 @@ WAVELENGTHS_UM = (0.40, 0.50, 0.60, 0.70)
 
 
 def efficiency(heightfield, order_index, kappa):
-    """|H_r0|² by NumPy's transform."""
+    """Return |H_r0|², computed by NumPy's Fourier transform."""
     return abs(np.fft.ifft(np.exp(2j * np.pi * kappa * heightfield.heights_um).mean(axis=0))[order_index]) ** 2
 
 

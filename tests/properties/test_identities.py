@@ -1,4 +1,4 @@
-"""Identities that hold for every height field: reciprocity, symmetry, invariance, energy, direction of reflection."""
+"""Identities of every height field: reciprocity, symmetry, invariance, energy and direction of reflection."""
 
 import math
 
@@ -17,13 +17,13 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 @pytest.fixture(scope="module")
 def rough():
-    """A square patch of fingers with a finite spectrum in both axes."""
+    """Return a square patch of random fingers, whose spectrum is non-zero along both axes."""
     return wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "replicas"])
 def test_absolute_brdf_is_reciprocal(rough, kind, rng):
-    """All but a source's, which the light has and the viewer has not."""
+    """The coherence model "source" is excluded: the light has an extent and the viewer has none."""
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-4}
     there = wd.brdf(rough, lights, views, [450.0, 600.0], **options)
@@ -41,7 +41,7 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
 
 
 def kernel_gain(lights, views, normal, masking, device):
-    """C·M as the kernel of pixels computes it, each under a light of its own."""
+    """Return the gain C·M as the kernel for pixels computes it, with a separate light for each pixel."""
     reflection = light_samples.Reflection()
     reflection.normal_reflectance, reflection.masking = normal, masking
     count = len(lights)
@@ -57,38 +57,38 @@ def kernel_gain(lights, views, normal, masking, device):
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):
         setattr(pixels, name, array(np.tile(axis, (count, 1))))
     pixels.to_view = array(views)
-    found = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
+    result = [array(np.ones((count, 3)), wp.vec3d), array(np.ones((count, 3))), array(np.ones(count), wp.float32)]
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
         inputs = [pixels, given, i, array([], wp.vec4f), reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
-        wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*found, *none], device=device)
+        wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*result, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
-    np.testing.assert_allclose(found[0].numpy(), -lights - unit_views, atol=1e-12)
-    return found[2].numpy()
+    np.testing.assert_allclose(result[0].numpy(), -lights - unit_views, atol=1e-12)
+    return result[2].numpy()
 
 
 def power_width(coherence):
-    """Standard deviation in frequency [1/µm] of the Gaussian that a coefficient's power is spread over."""
+    """Return the standard deviation in 1/µm of the Gaussian over which the power of a coefficient is spread."""
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
 @pytest.mark.parametrize("masking", [True, False])
 @pytest.mark.parametrize("ior", [1.5, math.inf])
-def test_gain_of_the_kernel_is_that_of_the_formula(masking, ior, rng, device):
-    """Out to 89.9° and at the horizon itself; the formula is written with the angles, as the design has it."""
+def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
+    """The kernel's gain C·M equals the formula written with angles, up to 89.9° and at the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
-    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror
+    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror direction
     views[50:100] = lights[50:100]  # retro-reflection
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
-    # Pixels have theirs in float32.
+    # The kernel stores view directions in float32.
     views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     normal = reflectance_factors.normal_reflectance(ior)
-    found = kernel_gain(unit_lights, views, normal, masking, device)
+    result = kernel_gain(unit_lights, views, normal, masking, device)
     formula = reflectance_factors.gain(unit_lights, unit_views, normal=normal, masking=masking)
-    np.testing.assert_allclose(found, formula, rtol=1e-6)
+    np.testing.assert_allclose(result, formula, rtol=1e-6)
 
     half = unit_lights + unit_views
     half /= np.linalg.norm(half, axis=1, keepdims=True)
@@ -102,8 +102,8 @@ def test_gain_of_the_kernel_is_that_of_the_formula(masking, ior, rng, device):
             cos_h = half[:, 2]
             expected = expected * np.minimum(1.0, 2.0 * cos_h * np.minimum(cos_r, cos_i) / cos_d)
     expected[(cos_i <= 0.0) | (cos_r <= 0.0)] = 0.0
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
-    assert np.all(np.isfinite(found))
+    np.testing.assert_allclose(result, expected, rtol=1e-5)
+    assert np.all(np.isfinite(result))
 
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])
@@ -118,25 +118,25 @@ def test_powers_do_not_depend_on_the_position(rough, kind, rng):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
-    """A quarter turn maps (x, y) to (−y, x), about the sample in the middle of an odd patch."""
+    """Quarter turns map (x, y) to (−y, x), about the central sample of a patch with an odd number of samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
     heightfield = wd.HeightField(heights, 0.08)
-    # Rows run along +y, so that a quarter turn from x to y is numpy's rot90 the other way round.
+    # Rows of a height field run along +y, so a quarter turn from x to y is ``numpy.rot90`` with −1.
     rotated = wd.HeightField(np.rot90(heights, -turns), 0.08)
     rotation = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
     options = {"wavelengths_nm": [420.0, 580.0], "tolerance": 1e-4}
     before = wd.spectral_reflectance(heightfield, lights, views, coherence=coherence_of(kind, 3.0), **options)
-    # The copies turn with the patch.
+    # The numbers of periods along x and y are exchanged by an odd number of quarter turns.
     coherence = coherence_of(kind, 3.0, periods=(3, 2) if turns % 2 else (2, 3))
     after = wd.spectral_reflectance(rotated, lights @ rotation.T, views @ rotation.T, coherence=coherence, **options)
     np.testing.assert_allclose(after, before, rtol=2e-4, atol=1e-6 * before.max())
 
 
 def projected_disc(centre, radius, count):
-    """View directions and dω cos θr around a direction (x, y) on the projected disc, above the horizon.
+    """Return view directions and dω cos θr around (x, y = 0) on the projected disc, above the horizon.
 
-    Radii beyond the horizon are folded into an angle, θ being the variable that takes the 1/cos θr off.
+    Substituting the angle θ for the radius removes the factor 1/cos θr from the integrand.
     """
     nodes, weights = np.polynomial.legendre.leggauss(count)
     low = math.asin(max(0.0, centre - radius)) if centre - radius > 0.0 else -math.asin(min(1.0, radius - centre))
@@ -154,9 +154,11 @@ def projected_disc(centre, radius, count):
 @pytest.mark.parametrize("sigma_um", [3.25, 8.0, 16.25])
 @pytest.mark.parametrize("theta_deg", [0.0, 30.0, 60.0, 75.0])
 def test_flat_mirror_reflects_all(sigma_um, theta_deg):
-    """∫ BRDF cos θr dω = R. At 75° the lobe of the shortest window reaches the horizon: the formula itself then gives
+    """Check that ∫ BRDF cos θr dω = R.
 
-    1.007 at 550 nm, 1.017 at 450 nm and 0.957 at 780 nm, and with Fresnel's rise across the lobe 1.06.
+    At 75° the lobe of the shortest window extends to the horizon. In this case the formula itself gives 1.007 at 550
+    nm,
+    1.017 at 450 nm and 0.957 at 780 nm, and 1.06 with Fresnel reflectance.
     """
     assert mirror_power(sigma_um, theta_deg, math.inf) == pytest.approx(1.0, rel=1e-2)
 
@@ -179,9 +181,9 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_excess_energy_of_a_shallow_sine(period_um):
-    """The scalar theory's own: (2πa/λ)² (1 − c)²/(2c), c the cosine of order one at normal incidence.
+    """The excess energy of scalar theory is (2πa/λ)² (1 − c)²/(2c), with the cosine c of the first order.
 
-    A millionth of the light, so that it takes float64, a shallow profile and narrow lobes to see it.
+    The excess is a millionth of the light. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength
@@ -203,7 +205,7 @@ def test_excess_energy_of_a_shallow_sine(period_um):
 @pytest.mark.parametrize("method", ["auto", "direct"])
 @pytest.mark.parametrize("cycles", [1, -1])
 def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
-    """H = x·tan 5° sends normal incidence to θr = −10°, periodic where κH is an integer."""
+    """The plane h = x·tan 5° reflects normal incidence to θr = −10°. The field is periodic if κH is an integer."""
     wavelength, slope = 0.5, math.copysign(math.tan(math.radians(5.0)), cycles)
     w = 1.0 + math.cos(math.radians(10.0))
     period = cycles * wavelength / (w * slope)
@@ -216,7 +218,7 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     mirrored = at_angle(-10.0 * cycles)
     power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
-    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all of it: C alone is left
+    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power: only the geometry factor C remains
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -232,7 +234,7 @@ def test_directions_below_the_horizon_reflect_nothing(rough, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_negative_or_unbounded_over_the_sphere(rough, kind, rng):
-    """A dense set with every special place: poles, horizon, opposite and equal directions."""
+    """The directions include all special cases: poles, horizon, opposite and equal directions."""
     count = 1000 if kind == "source" else 3000
     directions = rng.normal(size=(count, 3))
     special = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], [1, 0, 1e-9], [-1, 0, 1e-9], [1, 0, 1e-300]])
@@ -265,9 +267,9 @@ def test_no_directions_are_no_work(rough, method):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
-    # Slices of 512, of which threads take some each.
+    # The directions fill several slices of 512, which are distributed over the threads.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
-    # A source that grazes takes thousands of wavelengths a direction.
+    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-2 if kind == "averaged" else 0.1}

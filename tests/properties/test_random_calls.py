@@ -1,4 +1,4 @@
-"""Whatever the height field, the coherence, the directions and the wavelengths: results are numbers, and symmetric."""
+"""Random height fields, coherence models and directions: results are finite, not negative and symmetric."""
 
 import math
 
@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 import warpdiff as wd
 from bench.truth.numpy_methods import outcome
 
-# Derandomised, so that a failure is the same everywhere.
+# The examples are derandomised, so that a failure occurs on every machine.
 SETTINGS = settings(
     derandomize=True, deadline=None, max_examples=25, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
-# Messages of permitted refusals: no table serves the light, or the tolerance is out of reach.
+# Parts of the messages of allowed refusals: no table supports the light, or the tolerance cannot be met.
 REFUSALS = ("crop the height field", "heights are in µm", "so fine that a colour requires", "cannot meet tolerance")
 
 
@@ -23,9 +23,9 @@ def log_uniform(low, high):
 
 @st.composite
 def height_fields(draw):
-    """Rough, smooth, flat and tiny ones, up to 0.6 µm high, of 1 to 24 samples a side, around any height.
+    """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Each number of terms is a kernel to compile; deeper ones are the regimes' business.
+    Each number of terms compiles another kernel. Higher fields are tested in tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
         st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
@@ -43,13 +43,13 @@ def height_fields(draw):
 
 @st.composite
 def vectors(draw, count):
-    """Unit vectors and others: on the axes, by the horizon, tiny and huge, on both sides."""
+    """Return random vectors of any length: unit vectors, axes, and vectors near the horizon, on both sides."""
     component = st.one_of(
         st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 1e-30, 1e-8, -1e-8, 1e-6, 1e30, 1e300]),
         st.floats(-1.0, 1.0),
     )
     vector = st.tuples(component, component, component).filter(any)
-    # Most of them are above the horizon, where something happens.
+    # Most vectors are above the horizon, because reflectances below it are 0.
     upward = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), log_uniform(1e-5, 3.0))
     return np.array([draw(st.one_of(upward, upward, vector)) for _ in range(count)])
 
@@ -77,7 +77,7 @@ def computed(call, *arguments, **keywords):
 
 
 def nearly(a, b):
-    """Equal but for float32, where both are bright."""
+    """Check that two results are equal to float32 accuracy, except where both are dark."""
     np.testing.assert_allclose(a, b, rtol=3e-3, atol=3e-5 * max(float(a.max()), float(b.max()), 1e-30))
 
 
@@ -155,7 +155,7 @@ def test_reciprocity(data):
 def test_a_constant_height_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Rounded to a grid first, so that the sum is exact.
+    # Heights are first rounded to a grid, so that adding the constant is exact.
     heights = np.round((heightfield.heights_um - heightfield.heights_um.min()) * 2.0**20) / 2.0**20
     raised = heights + data.draw(st.sampled_from([1.0, -3.5, 100.0]))
     here, there = (
@@ -171,20 +171,21 @@ def test_a_constant_height_changes_nothing(data):
 
 @SETTINGS
 @given(st.data())
-def test_flipping_the_surface_flips_the_directions(data):
+def test_mirroring_surface_and_directions_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # x → −x about the first sample, which stays where it is.
+    # Mirroring x → −x keeps the first sample in place.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
-        # On a sample: coefficients beyond the pitch's limit are those within for no other.
+        # The window is centred on a sample, because otherwise coefficients beyond the Nyquist limit differ in phase.
         centre = tuple((n // 3) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True))
         coherence = wd.Coherence("centred", coherence.sigma_um, centre_um=centre)
         mirrored = wd.Coherence("centred", coherence.sigma_um, centre_um=(centre[0], -centre[1]))
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # Whole copies begin with another sample then: the last one is where the first was, which is but a phase.
+        # Replicas consist of whole periods, so the mirrored patch begins with another sample, which changes only the
+        # phase.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

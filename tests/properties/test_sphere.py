@@ -1,4 +1,4 @@
-"""No direction on the sphere gives NaN, infinity or a negative value, whatever the method and the coherence."""
+"""No direction on the sphere gives NaN, infinity or a negative value, for any method and any coherence model."""
 
 import itertools
 import math
@@ -21,12 +21,12 @@ CASES = [
     for name, method in itertools.product(("averaged", "centred", "source", "periods"), METHODS)
     if method != "power" or COHERENCES[name].adds_powers
 ] + [(name, "auto") for name in ("averaged, short", "averaged, long", "source, wide", "one copy")]
-# From the zenith through the horizon to the nadir, with what lies closest to either.
+# Elevations in degrees from zenith to nadir, with values very close to the horizon.
 ELEVATIONS_DEG = [90.0, 89.999, 60.0, 30.0, 5.0, 0.1, 1e-3, 1e-4, 1e-7, 0.0, -1e-7, -1e-3, -0.1, -45.0, -90.0]
 
 
 def sphere():
-    """Unit vectors, exact where they are axes."""
+    """Return unit vectors over the whole sphere. Coordinate axes are exact."""
     exact = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0.6, 0, 0.8), (0, -0.6, 0.8)]
     rings = [
         (math.cos(e) * math.cos(phi), math.cos(e) * math.sin(phi), math.sin(e))
@@ -37,7 +37,7 @@ def sphere():
 
 
 def pairs():
-    """All pairs of these, opposite ones, mirror ones and coinciding ones among them."""
+    """Return all pairs of the unit vectors, including opposite, mirrored and equal ones."""
     one = sphere()
     lights, views = (np.array(each) for each in zip(*itertools.product(one, one), strict=True))
     return np.concatenate([lights, one, one]), np.concatenate([views, -one, one * [-1.0, -1.0, 1.0]])
@@ -82,7 +82,7 @@ def test_absolute_values_at_extreme_wavelengths(rough, name, nanometres):
 def test_colours(rough, name, method):
     lights, views = pairs()
     few = slice(None, None, 11)
-    # A source that grazes takes thousands of wavelengths a direction.
+    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
     if COHERENCES[name].kind == "source":
         up = np.abs(lights[:, 2]) > 0.08
         lights, views = lights[up], views[up]
@@ -99,7 +99,7 @@ def test_colours(rough, name, method):
     + [(name, "auto") for name in COHERENCES],
 )
 def test_a_deep_surface(name, method):
-    """5 µm, where the Taylor series are computed on request only and float32 overflows."""
+    """With a height range of 5 µm, Taylor series are computed only on request, and float32 overflows."""
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())
     rho = best_effort(

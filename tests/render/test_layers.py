@@ -1,4 +1,4 @@
-"""Layers of a picture: normals, depths and geometries that pixels' centres meet, and that a file's normals are kept."""
+"""Layers of a picture: normal, depth and geometry number at each pixel's central ray, and normals of mesh files."""
 
 from typing import get_args
 
@@ -14,7 +14,7 @@ from warpdiff.request.settings import Layer
 NAMES = get_args(Layer)
 HF = wd.gratings.sinusoidal(2.0, 0.2)
 LIGHT = wd.DirectionalLight((0.2, 0.3, 1.0))
-# Texture coordinates that run along a surface wherever it is no plane at right angles to both.
+# Matrix for texture coordinates that vary along every surface except a plane perpendicular to both of its columns.
 MIXED = np.array([[1.0, 0.1], [0.3, 1.0], [0.2, -0.4]])
 VIEW = wd.View((1.9, 2.3, 2.9), (0.0, 0.0, 0.0), width=40, height=30)
 
@@ -25,12 +25,12 @@ def shade(mesh, view=VIEW, **options):
 
 
 def box(*, size=1.0, normals=True):
-    """A box of six squares, with a corner's three normals its faces', as modellers export it."""
+    """Return a cube with three corners per face, whose normals are the face normals, as modelling tools export it."""
     body = trimesh.creation.box(extents=(size, size, size))
     corners = body.faces.ravel()
     facets = np.repeat(body.face_normals, 3, axis=0)
     vertices = body.vertices[corners]
-    # Each face's own plane: u and v are the two axes across its normal.
+    # On each face of the cube, u and v are the two coordinate axes perpendicular to the face normal.
     uvs = np.array([v[np.abs(n) < 0.5] for v, n in zip(vertices, facets, strict=True)])
     return trimesh.Trimesh(
         vertices, np.arange(len(corners)).reshape(-1, 3), vertex_normals=facets if normals else None,
@@ -44,7 +44,7 @@ def ball():
 
 
 def rays(view):
-    """Origins and directions of the pixels' central rays, (height, width, 3) each."""
+    """Return origins and directions of the central rays of all pixels, (height, width, 3) each."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
@@ -56,7 +56,7 @@ def rays(view):
 
 
 def box_met(view, half=0.5):
-    """Distances to a box about the origin and its normals there, by slabs; infinite and zero where it is missed."""
+    """Return distances and normals where central rays hit a cube at the origin; infinity and zero for other rays."""
     origin, along = rays(view)
     with np.errstate(divide="ignore"):
         one, two = (-half - origin) / along, (half - origin) / along
@@ -69,13 +69,13 @@ def box_met(view, half=0.5):
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
 @pytest.mark.parametrize("how", ["path", "scene", "process"])
-def test_a_files_normals_are_rendered_though_they_equal_those_worked_out(tmp_path, suffix, how):
+def test_normals_of_a_file_are_used_even_if_they_equal_the_face_normals(tmp_path, suffix, how):
     path = tmp_path / f"box.{suffix}"
     given = box()
-    # PLY has no texture coordinates as trimesh writes it.
+    # trimesh writes PLY files without texture coordinates, so tangents are given instead.
     tangents = np.roll(given.vertex_normals, 1, axis=1) if suffix == "ply" else None
     given.export(path, **({"vertex_normal": True} if suffix == "ply" else {"include_normals": True}))
-    # trimesh.load_mesh forgets the normals.
+    # The test uses load_scene because trimesh.load_mesh drops the normals.
     mesh = path if how == "path" else trimesh.load_scene(path, process=how == "process")
     if how == "process" and tangents is not None:
         (merged,) = mesh.geometry.values()
@@ -88,7 +88,7 @@ def test_a_files_normals_are_rendered_though_they_equal_those_worked_out(tmp_pat
     np.testing.assert_allclose(image.layers["normal"], normal, atol=1e-6)
 
 
-def test_without_normals_a_box_is_rounded_also_after_trimesh_has_worked_some_out():
+def test_a_box_without_normals_is_shaded_smoothly_even_after_trimesh_has_computed_normals():
     bare = box(normals=False)
     before = shade(bare).layers["normal"]
     corner = np.abs(before - box_met(VIEW)[1]).max()
@@ -103,7 +103,7 @@ def test_without_normals_a_box_is_rounded_also_after_trimesh_has_worked_some_out
     ids=["perspective", "orthographic"],
 )
 @pytest.mark.parametrize("options", [{}, {"footprint": True}, {"samples_per_pixel": 4}], ids=str)
-def test_layers_are_what_central_rays_meet(view, options):
+def test_layers_have_the_values_at_the_hits_of_central_rays(view, options):
     distance, normal = box_met(view)
     image = shade(box(), view, **options)
     np.testing.assert_allclose(image.layers["depth"], distance, rtol=1e-6)
@@ -115,23 +115,23 @@ def test_layers_are_what_central_rays_meet(view, options):
 
 def test_geometries_are_numbered_by_the_scenes_nodes():
     scene = trimesh.Scene()
-    # A face without an area shifts no number.
+    # A face without area must not change the numbering of geometries.
     flat = ball()
     flat.faces = np.concatenate([[[0, 0, 0]], flat.faces])
     for name, mesh, x in (("left", flat, -1.5), ("middle", box(), 0.0), ("right", ball(), 1.5)):
         scene.add_geometry(mesh, node_name=name, transform=trimesh.transformations.translation_matrix((x, 0, 0)))
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.4, width=48, height=14)
     with pytest.warns(wd.WarpdiffWarning, match="no area"):
-        found = shade(scene, view).layers["geometry"]
+        result = shade(scene, view).layers["geometry"]
     assert list(scene.graph.nodes_geometry) == ["left", "middle", "right"]
-    assert [found[7, column] for column in (9, 24, 39)] == [0, 1, 2]
-    assert set(np.unique(found)) == {-1, 0, 1, 2}
+    assert [result[7, column] for column in (9, 24, 39)] == [0, 1, 2]
+    assert set(np.unique(result)) == {-1, 0, 1, 2}
 
 
 def test_facets_show_their_own_normals():
     mesh = ball()
     smooth, flat = (shade(mesh, smooth=smooth).layers["normal"] for smooth in (True, False))
-    # A facet of 7.5° × 15° is off by a few degrees.
+    # The normals of facets of 7.5° × 15° differ from smooth normals by a few degrees.
     assert 0.01 < np.abs(smooth - flat).max() < 0.2
     met = smooth.any(axis=2)
     distance = shade(mesh, layers=["depth"]).layers["depth"]

@@ -1,4 +1,4 @@
-"""Calls and pictures of materials, against the float64 reference, whose reflectances are by characteristic matrices."""
+"""Reflectances and pictures with materials, compared with a float64 reference that uses characteristic matrices."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
-    """cos θd is |(u, v, w)|/2, so that R(θd, λ) is within the integral over λ that a table holds."""
+    """A table includes the reflectance R(θd, λ) in its integral over λ, because cos θd = |(u, v, w)|/2."""
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
     plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
     assert plan.rings_per_octave > 0
-    found = wd.reflectance(fingers, lights, views, plan=plan, material=MATERIALS[name])
+    result = wd.reflectance(fingers, lights, views, plan=plan, material=MATERIALS[name])
     exact = reference.reference_reflectance(fingers, lights, views, coherence, tolerance=1e-3, material=MATERIALS[name])
-    assert np.percentile(relative_errors(found, exact), 99.0) <= tolerance
+    assert np.percentile(relative_errors(result, exact), 99.0) <= tolerance
     mirror = reference.reference_reflectance(fingers, lights[:20], views[:20], coherence, tolerance=1e-2, ior=np.inf)
     assert np.median(np.linalg.norm(mirror - exact[:20], axis=1) / np.linalg.norm(exact[:20], axis=1)) > 0.1
 
@@ -34,21 +34,21 @@ def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, f
 def test_replicated_periods_of_gold_meet_their_tolerance(fingers, rng):
     heightfield, coherence = fingers.cropped(4.0), wd.Coherence("replicas", periods=(3, 5))
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
-    found = wd.reflectance(heightfield, lights, views, coherence=coherence, material=GOLD)
+    result = wd.reflectance(heightfield, lights, views, coherence=coherence, material=GOLD)
     exact = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-3, material=GOLD)
-    assert np.max(np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)) < 1e-2
+    assert np.max(np.linalg.norm(result - exact, axis=1) / np.linalg.norm(exact, axis=1)) < 1e-2
 
 
-def test_what_reflects_nothing_is_black_by_a_table_too(fingers, rng):
+def test_a_material_without_reflection_is_black_with_a_table(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", integration="table")
-    # Polynomials of cos θd leave roundings of zero.
+    # The polynomials in cos θd of a table leave rounding errors instead of exact zeros.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
 
 def scene():
-    """Two tubes above each other."""
+    """Return a scene of two tubes, one above the other."""
     result = trimesh.Scene()
     for name, y in (("upper", 0.9), ("lower", -0.9)):
         tube = wd.meshes.tube(segments_along=48, segments_around=36)
@@ -79,13 +79,13 @@ def test_each_geometry_has_its_material(footprint, fingers):
     np.testing.assert_array_equal(again.image().xyz, both.xyz)
 
 
-def test_the_direct_sum_of_two_materials_is_that_of_other_methods():
+def test_the_direct_sum_of_two_materials_equals_other_methods():
     heightfield, view = wd.gratings.sinusoidal(1.2, 0.1), wd.View((0, 0, 5), (0, 0, 0), width=16, height=12)
     options = {"coherence": SHORT, "material": {"lower": SILVER, "upper": GOLD}, "footprint": False, "tolerance": 1e-2}
     direct = wd.shade(scene(), heightfield, LIGHTS, view, method="direct", **options)
-    found = wd.shade(scene(), heightfield, LIGHTS, view, **options)
+    result = wd.shade(scene(), heightfield, LIGHTS, view, **options)
     assert direct.xyz.max() > 0.0
-    assert np.linalg.norm(found.xyz - direct.xyz, axis=-1).max() < 1e-2 * np.linalg.norm(direct.xyz, axis=-1).max()
+    assert np.linalg.norm(result.xyz - direct.xyz, axis=-1).max() < 1e-2 * np.linalg.norm(direct.xyz, axis=-1).max()
 
 
 def test_geometries_without_a_material_are_refused(fingers):
@@ -98,7 +98,7 @@ def test_geometries_without_a_material_are_refused(fingers):
 
 
 def test_pigment_lies_under_glass_and_not_under_metal():
-    """Light passes glass twice, each time with a factor of 1 − R. No light passes a metal."""
+    """Light passes through the glass twice, each time with a factor of 1 − R. Metals transmit no light."""
     body = wd.meshes.disc()
     body.visual = trimesh.visual.TextureVisuals(
         uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 60, 30, 255))
@@ -112,6 +112,6 @@ def test_pigment_lies_under_glass_and_not_under_metal():
         )
         return (with_it - without)[4, 6]
 
-    # By Schlick's formula and by Fresnel's equations, which differ by a few thousandths of what comes through.
+    # The transmittances of Schlick's formula and of Fresnel's equations differ by less than 1 %.
     np.testing.assert_allclose(under(material=wd.Material.dielectric(1.5)), 0.04 * under(ior=1.5), rtol=2e-2)
     assert np.all(under(material=GOLD) == 0.0)

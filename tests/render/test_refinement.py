@@ -1,4 +1,4 @@
-"""Refinement: pixels whose parts differ are split, until a picture is that of many rays a pixel."""
+"""Refinement: pixels with uneven colours are subdivided until the picture equals one with many rays per pixel."""
 
 import dataclasses
 import itertools
@@ -27,22 +27,22 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """So fine a table that what is left are means."""
+    """Return the plan of so fine a table that the remaining errors are those of footprint means."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
 
-# Parts of the bodies with a silhouette: what is looked at.
+# Camera targets by mesh name: parts of the meshes with a silhouette.
 TARGETS = {"tube": (0.2, 0.2, 0.1), "lumpy": (0.75, 0.1, 0.75)}
 
 
 def view(body="tube", size=SIZE):
-    """A part of a picture."""
+    """Return a view of a small part of the mesh."""
     return wd.View((0.4, 1.6, 3.1), TARGETS[body], fov_y_deg=5.0, width=size[0], height=size[1])
 
 
 def lumpy(subdivisions=3):
-    """A ball with lumps and a seam, of few faces."""
+    """Return a ball with bumps and a texture seam, with few faces."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y))[:, None]
@@ -54,9 +54,10 @@ BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "l
 
 
 def by_points(mesh, heightfield, light, camera, plan, points=36):
-    """A picture of points as many times as fine, under the filter, and which pixels are inside the lit surface.
+    """Return the filtered picture of ``points`` × ``points`` rays per pixel, its coverage, and the inner pixels.
 
-    The filter of the outermost pixels reaches beyond the picture.
+    Inner pixels are completely on the illuminated surface. The fine picture is wider, because the filter extends
+    beyond.
     """
     margin = 2
     fine = finer(camera, points, margin)
@@ -83,7 +84,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return errors of inner pixels, relative as the tolerance is."""
+    """Return the errors of inner pixels, relative in the same way as ``tolerance``."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -92,16 +93,16 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
     mesh, camera, exact = truth
     for tolerance in (1e-1, 3e-2):
         image = wd.shade(mesh, fingers, LIGHT, camera, plan=dataclasses.replace(table, tolerance=tolerance))
-        found = errors(image, exact)
-        assert len(found) > 100
-        assert np.percentile(found, 99.0) < tolerance
-        assert np.median(found) < 0.25 * tolerance
+        result = errors(image, exact)
+        assert len(result) > 100
+        assert np.percentile(result, 99.0) < tolerance
+        assert np.median(result) < 0.25 * tolerance
         assert 0.0 < image.report.refined_share < 1.0
         assert f"meets its tolerance of {tolerance:g}" in str(image.report).splitlines()[0]
 
 
 def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
-    """Errors of pixels with one ray and of refined pixels are judged together."""
+    """Pixels with one ray and refined pixels are compared together with their reported errors."""
     mesh, camera, exact = truth
     true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
@@ -118,16 +119,16 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """Pixels summed over points, for which no table supports means, are as accurate."""
+    """Pixels summed over points, for coherence models without a table for footprint means, are tested, too."""
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
-        found = [
+        result = [
             errors(wd.shade(mesh, fingers, LIGHT, camera, plan=plan, samples_per_pixel=n, refine=False), exact)
             for n in ((1, 4, 16, 64) if plan.uses_footprints else (16, 64))
         ]
-        for one, more in itertools.pairwise(found):
+        for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
-                # Down to the error of the table.
+                # More cells cannot reduce the error below that of the table.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 
@@ -136,11 +137,11 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table)
     rim = (coverage > 0.1) & (coverage < 0.9)
     assert np.count_nonzero(rim) > 15
-    # By a quarter of a pixel at least.
+    # The coverage of pixels at the silhouette is accurate to 0.1, and to 0.03 in the median.
     away = np.abs(image.coverage - coverage)[rim]
     assert np.median(away) < 0.03
     assert away.max() < 0.1
-    # Colours are multiplied by it.
+    # Pixel colours are multiplied by the coverage.
     size = np.linalg.norm(xyz, axis=2)
     bright = rim & (size > 0.05 * np.percentile(size[coverage > 0.99], 90.0))
     relative = np.linalg.norm(image.xyz - xyz, axis=2)[bright] / size[bright]
@@ -150,8 +151,8 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     assert set(np.unique(alone.coverage)) == {0.0, 1.0}
 
 
-def test_unrefined_pixels_have_the_cells_that_were_asked_for(fingers, table):
-    """At silhouettes as elsewhere."""
+def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
+    """Pixels at silhouettes have the same number of cells as all others."""
     mesh, camera = BODIES["tube"](), view()
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
     hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
@@ -164,20 +165,21 @@ def test_unrefined_pixels_have_the_cells_that_were_asked_for(fingers, table):
 
     expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
     assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
-    # Cells are not traced in pixels without a neighbour whose centre meets the mesh, which loses little coverage.
+    # If no central ray of a pixel or its neighbours hits the mesh, its cells are not traced. The lost coverage is
+    # small.
     np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """Requested means are computed from points where no table supports them."""
+    """If no table supports footprint means, pixels with footprints are computed from many points."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
     plan = dataclasses.replace(plan, tolerance=5e-2)
-    found = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
-    assert found.plan.footprint
-    assert not found.plan.uses_footprints
-    assert np.percentile(errors(found, exact), 95.0) < 5e-2
+    result = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
+    assert result.plan.footprint
+    assert not result.plan.uses_footprints
+    assert np.percentile(errors(result, exact), 95.0) < 5e-2
 
 
 @pytest.mark.parametrize("method", ["auto", "low-rank", "jacobi-anger"])
@@ -191,7 +193,7 @@ def test_means_are_on_at_any_tolerance(method):
 
 
 def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
-    """A body far away, of which a pixel sees thousands of lumps."""
+    """In a view of a distant mesh, each pixel covers thousands of bumps."""
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
@@ -208,7 +210,7 @@ def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
     edges = renderer._mine.picture._cropped(renderer._mine.picture._sums.edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
-    # In some edge pixels the edge is so near the border that none of 16 cells detects it.
+    # Some edges are so close to the border of the pixel that none of 16 cells detects them.
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
@@ -216,7 +218,7 @@ def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
     ("name", "most", "message"),
     [("unconverged_share", 0.01, r"1\.1 % of"), ("unconverged_edge_share", 0.05, r"5\.1 % of")],
 )
-def test_more_errors_are_let_pass_at_edges(name, most, message):
+def test_the_warning_allows_more_unconverged_pixels_at_edges(name, most, message):
     converged = Report(1e-2, (1e-3, 1e-2), True, 0.5, 0.0, 0.0, 1)
 
     def warned(share):
@@ -227,20 +229,20 @@ def test_more_errors_are_let_pass_at_edges(name, most, message):
         warned(most + 0.001)
 
 
-def test_neither_threads_nor_parts_matter(fingers, table, monkeypatch):
+def test_pictures_do_not_depend_on_threads_or_parts(fingers, table, monkeypatch):
     mesh = BODIES["lumpy"]()
     expected = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     for threads in (1, 3):
-        found = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
-        np.testing.assert_array_equal(found.xyz, expected.xyz)
-        np.testing.assert_array_equal(found.error, expected.error)
-    # As if memory were short: of the faces that cells see.
+        result = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
+        np.testing.assert_array_equal(result.xyz, expected.xyz)
+        np.testing.assert_array_equal(result.error, expected.error)
+    # Small limits make the renderer split the picture into parts, as if little memory were free.
     monkeypatch.setattr(pixel_filter, "_MOST_RASTERIZED", 1024)
-    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
-    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    result = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    np.testing.assert_array_equal(result.xyz, expected.xyz)
     monkeypatch.setattr(threaded_tiles, "_MOST_PIXELS", 300)
-    found = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
-    assert np.percentile(np.linalg.norm(found.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
+    result = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
+    assert np.percentile(np.linalg.norm(result.xyz - expected.xyz, axis=2), 99.0) < 1e-3 * expected.xyz.max()
 
 
 def test_lights_and_pigments_add_up(fingers, table):
@@ -250,7 +252,7 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # Single lights are refined to their own tolerance, and all lights together to that of their sum.
+    # A single light is refined to its own tolerance. With two lights, only their sum must meet the tolerance.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -261,8 +263,8 @@ def test_lights_and_pigments_add_up(fingers, table):
 
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
-def test_cells_stand_for_the_filter(level, means):
-    """Along an axis, the sum of their Gaussians is one of half a pixel; points have its weights."""
+def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
+    """The weighted Gaussians of the cells add up to a Gaussian with σ = 0.5 pixel; points use its values."""
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])
@@ -272,7 +274,7 @@ def test_cells_stand_for_the_filter(level, means):
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
         exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
-        # A sum of Gaussians that are s of their distance wide has ripples of 2 exp(−2π²s²), and the filter is cut off.
+        # A sum of Gaussians of width s · spacing has ripples of 2 exp(−2π²s²). Truncating the filter adds an error.
         ripples = 2.0 * np.exp(-2.0 * (np.pi * deviation * 2**level) ** 2)
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
@@ -282,9 +284,9 @@ ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def estimate_by_hand(colours, uv, hit, floor, bound):
-    """Compute the result of ``estimate`` pixel by pixel."""
+    """Compute the result of the kernel ``estimate_errors`` pixel by pixel."""
     height, width = hit.shape
-    found, wanted, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
+    result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
         near = [(y, x) for y in range(row - 1, row + 2) for x in range(column - 1, column + 2)]
         near = [(y, x) for y, x in near if 0 <= y < height and 0 <= x < width]
@@ -295,7 +297,7 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # A pixel without such neighbours has no estimate, so its own colour counts.
+                # A pixel without hits to its left, right, top and bottom has no estimate, so its own colour is used.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):
@@ -311,10 +313,10 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                     + refinement_levels.CONTRAST_PER_UNEVENNESS * uneven
                     + refinement_levels.CONTRAST_PER_CHANGE * wide
                 )
-            found[row, column] = min(share, 1.0) * contrast
+            result[row, column] = min(share, 1.0) * contrast
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
-        wanted[row, column] = any(hits) and (rim or found[row, column] > limit)
-    return found, wanted
+        marks[row, column] = any(hits) and (rim or result[row, column] > limit)
+    return result, marks
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
@@ -333,18 +335,18 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"), size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip
-    found = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
+    result = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        wp.launch(kernels.estimate_errors, (1, 1), inputs, [found, wanted], device="cpu")
+        wp.launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
     expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3)
-    np.testing.assert_allclose(found.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])
 
 
-def test_lights_that_add_nothing_dilute_nothing(fingers, table):
+def test_dark_lights_do_not_reduce_the_reported_share_of_unconverged_pixels(fingers, table):
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     below = wd.DirectionalLight((-12.0, -48.0, -93.0))
@@ -366,13 +368,13 @@ def test_progress_ends_when_pixels_are_split(fingers, table):
     assert shares[-1] == 1.0
 
 
-def test_more_cells_than_there_are_are_refused(fingers):
+def test_more_cells_than_the_highest_level_has_are_refused(fingers):
     with pytest.raises(ValueError, match="samples_per_pixel must be at most 4096 with footprints, got 4097"):
         wd.shade(BODIES["tube"](), fingers, LIGHT, view(), coherence=SHORT, samples_per_pixel=4097)
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """Bars of a third of a pixel's width, one in 5.3 pixels."""
+    """The mesh consists of bars 0.3 pixels wide, one every 5.3 pixels."""
     bars = [
         trimesh.Trimesh(
             [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
@@ -390,7 +392,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
 
 
 def test_cells_detect_shadows_between_pixel_centres(fingers, table):
-    """A strip that is not in the picture, and whose shadow no centre of a pixel meets."""
+    """The shadow of a strip outside of the picture falls between the pixel centres."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))
     strip.apply_translation((3.0, 0.08, 3.0))

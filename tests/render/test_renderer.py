@@ -1,6 +1,6 @@
-"""Pictures one after the other are those of ``shade``, and what is recorded for a GPU draws them when it is replayed.
+"""Successive pictures of a ``Renderer`` equal those of ``shade``, also if recorded launches are replayed as on a GPU.
 
-Warp records and replays launches on the CPU, too, so that this needs no GPU.
+Warp can record and replay launches on the CPU, so these tests need no GPU.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from warpdiff.render import device_tiles, renderer
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
-# Pictures that each of two threads draws at once.
+# Number of pictures that each of two threads renders at the same time.
 TURNS = endurance.count(20, 150)
 
 
@@ -52,7 +52,7 @@ def painted(tube):
 
 @pytest.fixture(scope="module")
 def plans(fingers):
-    """Made once: any renderer and ``shade`` take the same."""
+    """Return plans that renderers and ``shade`` share in all tests."""
     table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {
@@ -73,11 +73,11 @@ CASES = {
 
 @pytest.fixture
 def recorded(monkeypatch):
-    """Renderers record on the CPU; says how often they did."""
+    """Make renderers record their launches on the CPU; return a list with one entry per recording."""
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
-    # Launches are as large as what may be found at most: a GPU's threads that find nothing end at once, in parallel.
+    # Recorded launches have the largest possible size. On a GPU, threads without work end immediately.
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
@@ -103,7 +103,7 @@ def test_pictures_equal_those_of_shade(tube, fingers, plans, name, count, option
 
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "four rays with footprints"])
-def test_pictures_on_the_way_are_those_of_their_tolerances_and_the_last_is_the_same(tube, fingers, plans, name):
+def test_previews_equal_pictures_of_their_tolerances_and_the_last_picture_is_unchanged(tube, fingers, plans, name):
     of, count, options = CASES[name]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[of], **options)
     for angle in (0.0, 0.4):
@@ -137,14 +137,14 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     drawn.draw(previews={0.4: lambda: shares.append(shares[-1])}, progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
-    found, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
+    result, other = (wd.shade(tube, fingers, each, view(), plan=plans["footprints"], pigment=0.0)
                     for each in (lights, lights[::-1]))  # fmt: skip
-    same(drawn.image(), found)
-    np.testing.assert_allclose(found.xyz, other.xyz, rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose(found.error, other.error, rtol=1e-4, atol=1e-7)
-    np.testing.assert_array_equal(found.mask, other.mask)
-    # The finest cells count; of equal levels those of the last light do, with other cells around.
-    np.testing.assert_allclose(found.coverage, other.coverage, atol=0.01)
+    same(drawn.image(), result)
+    np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
+    np.testing.assert_array_equal(result.mask, other.mask)
+    # Coverage is that of the finest cells, or of the last light if levels are equal, so the order of lights matters.
+    np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
 def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
@@ -161,18 +161,18 @@ def test_lights_that_are_refused_change_nothing(tube, fingers, plans):
     same(drawn.image(), before)
 
 
-def test_a_replayed_disc_is_that_of_shade(painted, fingers, plans, recorded):
+def test_a_replayed_disc_light_equals_that_of_shade(painted, fingers, plans, recorded):
     size = (24, 18)
     drawn = wd.Renderer(painted, fingers, DISC, view(size=size), plan=plans["footprints"], threads=1)
     assert len(recorded) == 1
     light = dataclasses.replace(DISC, to_light=(0.6, 0.8, 0.9), angular_diameter_deg=9.3)
     drawn.draw(light, view(0.3, size))
     expected = wd.shade(painted, fingers, light, view(0.3, size), plan=plans["footprints"])
-    found = drawn.image()
+    result = drawn.image()
     floor = 1e-3 * np.percentile(expected.xyz[..., 1], 99.0)
-    differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
+    differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / (floor + np.linalg.norm(expected.xyz, axis=-1))
     assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance
-    assert np.mean(found.illuminated != expected.illuminated) <= 0.01
+    assert np.mean(result.illuminated != expected.illuminated) <= 0.01
     assert len(recorded) == 1
 
 
@@ -184,23 +184,23 @@ SAMPLED = {
 
 @pytest.mark.parametrize("name", SAMPLED)
 @pytest.mark.parametrize("together", [True, False])
-def test_sampled_lights_follow_others_as_shade_draws_them(name, together, tube, fingers, plans, monkeypatch):
-    """The first light of a recorded picture takes no samples; so do the arrays of the next ones."""
+def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together, tube, fingers, plans, monkeypatch):
+    """The first recorded picture has a light without samples, so the next lights need additional arrays."""
     monkeypatch.setattr(renderer, "records", lambda _: True)
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     lights = [LIGHTS[0], SAMPLED[name]] if together else [SAMPLED[name]]
     size, plan = (16, 12), dataclasses.replace(plans["footprints"], tolerance=0.2)
     drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(size=size), plan=plan, threads=1)
     drawn.draw(lights)
-    found, expected = drawn.image(), wd.shade(tube, fingers, lights, view(size=size), plan=plan)
-    same_places = found.illuminated & expected.illuminated
+    result, expected = drawn.image(), wd.shade(tube, fingers, lights, view(size=size), plan=plan)
+    same_places = result.illuminated & expected.illuminated
     assert same_places.sum() > 20
     size = np.linalg.norm(expected.xyz[same_places], axis=1)
-    differ = np.linalg.norm(found.xyz - expected.xyz, axis=2)[same_places] / size
+    differ = np.linalg.norm(result.xyz - expected.xyz, axis=2)[same_places] / size
     assert np.percentile(differ, 90.0) < 0.1 * plan.tolerance
 
 
-def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plans):
+def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
     before = drawn.image()
 
@@ -209,41 +209,41 @@ def test_what_is_called_on_the_way_may_fail_and_does_no_harm(tube, fingers, plan
 
     with pytest.raises(KeyError, match="mine"):
         drawn.draw(previews={0.4: fails})
-    # No picture is left half drawn.
+    # The picture must be complete although the callback raised an error.
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})
-    asked = {0.2: print}
-    asked[0.4] = asked.clear
-    drawn.draw(previews=asked)
-    assert not asked
+    requested = {0.2: print}
+    requested[0.4] = requested.clear
+    drawn.draw(previews=requested)
+    assert not requested
     same(drawn.image(), before)
 
 
-def test_nothing_is_on_the_way_where_nothing_is_split(tube, fingers, plans):
+def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["points"])
     before = drawn.image()
-    drawn.draw(previews={0.5: lambda: pytest.fail("it is none")})
+    drawn.draw(previews={0.5: lambda: pytest.fail("a preview is shown")})
     same(drawn.image(), before)
 
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
-    """Views are near, far, past the mesh, and from inside, where part of the mesh is behind the eye."""
+    """The views are near, far, past the mesh, and inside it, where part of the mesh is behind the eye."""
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
     beside = wd.View((0.0, 0.0, 5.0), (0.0, 4.5, 4.0), up=(0, 0, 1), fov_y_deg=20.0, **size)
     within = wd.View((0.2, 0.0, 0.1), (1.0, 0.0, 0.0), **size)
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], near, plan=plans[plan], **options)
-    seen = []
+    covered = []
     for camera in (far, near, beside, near, within, far, beside):
         drawn.draw(view=camera)
         expected = wd.shade(tube, fingers, LIGHTS[:count], camera, plan=plans[plan], **options)
         same(drawn.image(), expected)
         np.testing.assert_array_equal(expected.xyz[~expected.mask], 0.0)
-        seen.append(np.count_nonzero(expected.mask))
-    assert 0 == seen[2] == seen[6] < seen[0] == seen[5] < seen[1] == seen[3] < seen[4]
+        covered.append(np.count_nonzero(expected.mask))
+    assert 0 == covered[2] == covered[6] < covered[0] == covered[5] < covered[1] == covered[3] < covered[4]
 
 
 def test_a_picture_that_failed_does_not_spoil_the_next(tube, fingers, plans, monkeypatch):
@@ -283,14 +283,14 @@ def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plan
 
         with pytest.raises(AbandonedError):
             drawn.draw(rotated(most)[:count], view(most), progress=tell)
-    # The one that was abandoned is drawn once it is asked for.
+    # The abandoned picture is rendered when its image is requested.
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.8)[:count], view(0.8), plan=plans[plan], **options))
     drawn.draw(rotated(0.2)[:count])
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.2)[:count], view(0.8), plan=plans[plan], **options))
 
 
 @pytest.mark.parametrize("name", ["footprints", "four rays with footprints", "points", slow("source")])
-def test_the_light_may_change_alone(tube, fingers, plans, name):
+def test_lights_can_change_without_the_view(tube, fingers, plans, name):
     plan, count, options = CASES[name]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options)
     first = drawn.image()
@@ -303,7 +303,7 @@ def test_the_light_may_change_alone(tube, fingers, plans, name):
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
 
 
-def test_means_are_kept_without_a_table_for_them(tube):
+def test_footprints_stay_on_without_a_table_for_means(tube):
     heightfield = wd.gratings.blazed(2.5, 0.25)
     options = {"tolerance": 0.5, "coherence": SHORT}
     drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(size=(24, 18)), **options)
@@ -316,31 +316,32 @@ def test_means_are_kept_without_a_table_for_them(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # Large enough for shares of its pixels.
+    # The test picture is large enough for meaningful shares of pixels.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
-        found, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # The brightness of a picture, which decides what pixels to split, is known to 1 in 128. Rays through
-        # the hierarchy may miss a face at its very edge.
+        result, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
+        # Replay knows the brightness that selects pixels for refinement only to 1/128. Rays traced through the
+        # hierarchy may
+        # miss a face at its edge.
         few = 0.01 if drawn.plan.footprint else 0.0
-        assert np.mean(found.illuminated != expected.illuminated) <= few
-        assert np.mean(found.coverage != expected.coverage) <= few
-        differ = np.linalg.norm(found.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # Converged pixels use cells of their neighbours, so a pixel that is split differently changes those around it.
+        assert np.mean(result.illuminated != expected.illuminated) <= few
+        assert np.mean(result.coverage != expected.coverage) <= few
+        differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
+        # Converged pixels use the cells of their neighbours, so each differently refined pixel changes those around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
-        assert found.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
+        assert result.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
     assert len(recorded) == 1
     if name == "footprints" and "samples_per_pixel" not in options:
-        assert found.report.refined_share > 0.1
+        assert result.report.refined_share > 0.1
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])
 @pytest.mark.parametrize("octaves", [0.0, 0.01, 60.0])
-def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
+def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng):
     luminance = 2.0 ** rng.uniform(-octaves, octaves, 2 * count + 3)
     illuminated = np.zeros(len(luminance), dtype=np.bool_)
     illuminated[rng.permutation(len(illuminated))[:count]] = True
@@ -354,13 +355,13 @@ def test_the_floor_is_that_of_the_brightest_hundredth(count, octaves, rng):
     )  # fmt: skip
     wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
-    # As many are brighter as a hundredth of them, rounded down.
+    # One per cent of the illuminated pixels, rounded down, is brighter than the 99th percentile.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
     assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)
 
 
 @pytest.mark.usefixtures("recorded")
-def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monkeypatch):
+def test_pictures_do_not_depend_on_the_number_of_parts_of_a_tile_list(tube, fingers, plans, monkeypatch):
     def picture():
         drawn = wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1)
         drawn.draw(rotated(0.2)[0])
@@ -374,14 +375,14 @@ def test_lists_are_worked_off_in_any_number_of_parts(tube, fingers, plans, monke
     assert parts.report.refined_share == whole.report.refined_share
 
 
-def test_it_records_anew_where_other_launches_are_needed(fingers, plans, recorded):
+def test_launches_are_recorded_again_if_others_are_needed(fingers, plans, recorded):
     ball = trimesh.creation.icosphere(subdivisions=3)
     along_x = np.cross([0.0, 0.0, 1.0], ball.vertices) + np.array([1e-3, 0.0, 0.0])
     drawn = wd.Renderer(ball, fingers, LIGHTS[0], view(), plan=plans["footprints"], tangents=along_x, threads=1)
     inside = wd.View((0.0, 0.0, 0.3), (0.0, 0.0, -1.0), fov_y_deg=60.0, width=WIDTH, height=HEIGHT)
     changes = [
         (LIGHTS[0], view(0.1), 1),
-        # From within, a convex body hides the light.
+        # From inside a convex mesh, the mesh occludes the light, so shadow rays are needed.
         (LIGHTS[0], inside, 2),
         (LIGHTS, inside, 3),
         (LIGHTS[1], view(), 4),
@@ -404,7 +405,7 @@ def test_a_dark_picture_is_black(tube, fingers, plans):
     same(drawn.image(), wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=plans["footprints"], threads=1).image())
 
 
-def test_its_plan_is_for_any_light_and_view(tube):
+def test_the_plan_covers_all_lights_and_views(tube):
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     drawn = wd.Renderer(tube, heightfield, LIGHTS[0], view(), coherence=wd.Coherence(sigma_um=3.25), tolerance=5e-2)
     assert drawn.plan.max_uv == 2.0
@@ -412,7 +413,7 @@ def test_its_plan_is_for_any_light_and_view(tube):
     assert drawn.plan.error <= 5e-2
 
 
-def test_a_plan_for_less_is_warned_of(tube, fingers, plans):
+def test_a_plan_with_a_smaller_range_of_directions_causes_a_warning(tube, fingers, plans):
     narrow = dataclasses.replace(plans["points"], max_uv=0.5)
     with pytest.warns(wd.WarpdiffWarning, match=r"\|\(u, v\)\| up to 2, planned 0\.5"):
         wd.Renderer(tube, fingers, LIGHTS[0], view(), plan=narrow)
@@ -442,7 +443,7 @@ def test_bad_input_is_refused(tube, fingers, plans):
 
 
 @pytest.mark.permanent("concurrent rendering threads")
-def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries):
+def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tries):
     views = [[view(angle + k / 50.0, size=(24, 18)) for k in range(3)] for angle in (0.0, 1.0)]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], views[0][0], plan=plans["footprints"], threads=2)
     first = drawn.image()
@@ -462,5 +463,5 @@ def test_threads_draw_at_once_pictures_of_their_own(tube, fingers, plans, tries)
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
     tries.number = 2 * TURNS
-    # Nor did they change this thread's.
+    # The other threads must not have changed the picture of this thread.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

@@ -1,4 +1,4 @@
-"""``shade``: pictures against the float64 reference, and what must hold of every picture."""
+"""``shade``: pictures compared with the float64 reference, and properties that every picture has."""
 
 import dataclasses
 import math
@@ -25,7 +25,7 @@ ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
 WHITE = np.array([0.950423, 1.0, 1.088610])
 SHORT = wd.Coherence("averaged", 3.0)
-# A window far wider than the patch: sharp orders, and nothing in between but its tails.
+# A window much wider than the patch gives narrow orders, with only Gaussian tails between them.
 LONG = wd.Coherence("averaged", 16.25)
 
 
@@ -44,9 +44,9 @@ def snake_view(width=96, height=72):
 
 
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
-    """The picture's error at each tolerance, on stratified random pixels."""
+    """Return the errors of the picture at each tolerance, on stratified random pixels."""
     body = reference.Body.of(prepare_surface(mesh))
-    found, truth, chosen = [], None, None
+    result, truth, chosen = [], None, None
     for tolerance in tolerances:
         image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
@@ -55,8 +55,8 @@ def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
             truth = reference.reference_picture(*given, tolerance=min(tolerances))
         sure = ~truth.unsure
         np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
-        found.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
-    return found
+        result.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
+    return result
 
 
 TOLERANCES = (1e-1, 1e-2, 1e-3)
@@ -71,7 +71,7 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.illuminated > 0.8 * PIXELS
-        # The tube's highlight is most of its light.
+        # In the tube's picture the highlight has most of the light.
         assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
@@ -114,10 +114,10 @@ def test_lights_add(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # One plan, for the wavelengths follow from the directions of all lights of a call.
+    # All pictures use the same plan, because the number of wavelengths depends on all lights of a call.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # Single lights are refined to their own tolerance, and all lights together to that of their sum.
+    # A single light is refined to its own tolerance. With several lights, only their sum must meet the tolerance.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -129,7 +129,7 @@ def test_lights_add(snake, fingers):
     assert not dark.xyz.any()
 
 
-def test_a_light_below_the_horizon_is_none(fingers):
+def test_a_light_below_the_horizon_adds_nothing(fingers):
     view = wd.View((0.3, -1.5, 2.0), (0, 0, 0), width=24, height=18)
     for to_light in ((0.3, 0.1, -1.0), (1.0, 0.0, 0.0), (0.2, 0.4, -1e-9)):
         image = wd.shade(whole_disc(), fingers, wd.DirectionalLight(to_light), view, coherence=SHORT)
@@ -138,7 +138,7 @@ def test_a_light_below_the_horizon_is_none(fingers):
 
 
 def test_both_sides_are_visible(fingers):
-    """From behind, with the light behind as well, the disc is its own mirror image."""
+    """With eye and light behind the disc, the picture is the mirror image of the picture from the front."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])
     images = [
@@ -164,10 +164,10 @@ def two_discs():
     return trimesh.Scene([whole_disc(), upper])
 
 
-def test_shadows_lie_where_brute_force_says():
+def test_shadows_equal_those_of_brute_force():
     view = wd.View((0.0, -2.0, 1.6), (0, 0, 0.2), width=60, height=45)
     light = wd.DirectionalLight((0.3, 0.2, 1.0))
-    # A short window lights everything, so that black is shadow.
+    # A short window spreads light to all directions, so only pixels in shadow are black.
     options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
@@ -182,7 +182,7 @@ def test_shadows_lie_where_brute_force_says():
 
 
 def spherical(subdivisions=3):
-    """An icosphere with spherical texture coordinates, whose three corners a face are its own: no seam."""
+    """Return an icosphere with three separate corners per face, and spherical texture coordinates without a seam."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     corners = ball.vertices[ball.faces.ravel()]
     u = np.arctan2(corners[:, 1], corners[:, 0]).reshape(-1, 3) / (2.0 * np.pi)
@@ -217,7 +217,7 @@ def test_the_background_is_black_and_unmasked(snake, fingers):
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
-    # More pixels than a slice holds.
+    # The test picture has more pixels than one slice of the work.
     view = snake_view(96, 72)
     options = {"coherence": SHORT, "samples_per_pixel": samples}
     first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)
@@ -227,11 +227,11 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
         np.testing.assert_array_equal(again.coverage, first.coverage)
 
 
-def test_many_samples_a_pixel():
-    """Coverage is partial at the rim alone, and a smooth function keeps its mean inside."""
+def test_many_samples_per_pixel():
+    """Only pixels at the rim of the disc have partial coverage. Inside, samples do not change the mean brightness."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
-    # A narrow window on a flat surface: one broad lobe.
+    # A narrow window on a flat surface gives one broad lobe.
     options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)
@@ -240,7 +240,7 @@ def test_many_samples_a_pixel():
     assert many.coverage.min() == 0.0
     assert many.coverage.max() == 1.0
     np.testing.assert_allclose(16.0 * many.coverage, np.round(16.0 * many.coverage), atol=1e-6)
-    # The filter reaches 1.5 pixels: its samples see the rim from at most two pixels away.
+    # The filter radius is 1.5 pixels, so only pixels at most two pixels from the rim can be partially covered.
     inside, outside = one.mask.copy(), ~one.mask
     for shift in np.ndindex(5, 5):
         moved = np.roll(one.mask, (shift[0] - 2, shift[1] - 2), axis=(0, 1))
@@ -277,7 +277,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
     truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
-    # In units of the pigment: what a sum in float32 with the diffraction colour loses is the latter's rounding.
+    # The pigment is a small difference of float32 sums, so the rounding error of the brighter colour is allowed.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
     error = reference.picture_error(whole.reshape(-1, 3), truth[1])
@@ -288,7 +288,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
 
 
 def test_pigment_is_filtered_with_the_picture():
-    """Its share does not depend on how many samples a pixel has."""
+    """The pigment's share of a pixel does not depend on the number of samples per pixel."""
     quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
     view = mirror_view(6, 1.0)
     light = wd.DirectionalLight((0.5, 0.3, 1.0))
@@ -297,12 +297,12 @@ def test_pigment_is_filtered_with_the_picture():
     np.testing.assert_allclose(many, one, rtol=1e-5)
 
 
-def test_tangents_turn_the_bands(fingers):
-    """Turning t by 90° about n is turning the height field by 90°."""
+def test_tangents_rotate_the_height_field(fingers):
+    """Rotating the tangent by 90° about the normal equals rotating the height field by 90°."""
     disc = whole_disc()
     view = wd.View((0.3, -0.8, 2.0), (0, 0, 0), width=40, height=30)
     count = len(disc.vertices)
-    # With t along y the height field's x runs along +y and its y along −x.
+    # With the tangent along +y, the height field's x is along +y and its y along −x.
     rotated = wd.HeightField(np.rot90(fingers.heights_um, -1), fingers.pitch_um)
     options = {"coherence": SHORT, "tolerance": 3e-4, "refine": False}
     light = wd.DirectionalLight((0.1, 0.4, 1.0))
@@ -315,7 +315,7 @@ def test_tangents_turn_the_bands(fingers):
 
 
 def test_facets():
-    """Without smoothing every face has one normal: an orthographic view of a flat mirror shows one colour a face."""
+    """With ``smooth=False`` each face has one normal. In an orthographic view of a mirror, each face has one colour."""
     tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
     view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
     options = {"coherence": wd.Coherence("averaged", 0.3), "shadows": False, "refine": False}
@@ -347,20 +347,20 @@ BODIES = {
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_nothing_is_black_nan_or_negative(name, request):
-    """Where light and eye are above the surface, by the smooth and by the geometric normal, there is a colour."""
+def test_illuminated_pixels_are_finite_and_positive(name, request):
+    """Pixels have a colour if light and eye are above the surface by both the smooth and the geometric normal."""
     mesh, view = BODIES[name]
     mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
-    # A window as short as the fingers leaves no gap between orders that float32 could call zero.
+    # With a window as short as the fingers, orders overlap, and float32 rounds no direction between them to 0.
     coherence = wd.Coherence("averaged", 1.2)
     light = wd.DirectionalLight((0.4, 0.9, 0.7))
-    # Rays pass through pixel centres only. Pixels at the light's edge are partly illuminated.
+    # Only rays through pixel centres are traced, because pixels at a shadow's edge would be partly illuminated.
     image = wd.shade(mesh, heightfield, light, view, coherence=coherence, pigment=0.0, tolerance=0.1, refine=False)
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
-    # The same rays and shadows in float64; of a flat field, for the colours do not matter here.
+    # The float64 reference gives rays and shadows for a flat field, because colours are not compared.
     body = reference.Body.of(prepare_surface(mesh))
     truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
@@ -372,9 +372,9 @@ def test_nothing_is_black_nan_or_negative(name, request):
 
 
 def test_no_seam_along_the_belly(fingers):
-    """Neighbours across the seam of the texture differ no more than others."""
+    """Differences across the texture seam are not larger than those between other neighbouring pixels."""
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
-    # From below: the seam runs along the middle column of pixel borders.
+    # In this view from below, the seam coincides with the border between the two middle columns.
     view = wd.View.orthographic((0, -2, 0), (0, 0, 0), up=(1, 0, 0), extent_y=1.2, width=48, height=64)
     view = dataclasses.replace(view, extent_y=0.2 * 64 / 48)
     light = wd.DirectionalLight((0.2, -1.0, 0.3))
@@ -384,7 +384,7 @@ def test_no_seam_along_the_belly(fingers):
     step = np.abs(np.diff(logarithm, axis=1)).mean(axis=0)
     seam = 23 - 12
     assert step[seam] <= 1.2 * step[seam - 4 : seam + 5].max()
-    # The tangent turns smoothly too: second differences show a kink that first ones hide.
+    # Second differences of the colours are compared, too, because they show a kink that first differences hide.
     bend = np.abs(np.diff(logarithm, 2, axis=1)).mean(axis=0)
     assert bend[seam - 1 : seam + 1].max() <= 1.5 * bend.max(initial=0.0, where=np.arange(bend.size) // 2 != seam // 2)
 
@@ -406,13 +406,13 @@ def test_an_explicit_plan_is_honoured(snake, fingers):
 def test_progress_grows_to_one(options, snake, fingers):
     size = (4, 3) if "method" in options else (96, 72)
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=size[0], height=size[1])
-    seen = []
+    visible = []
     lights = [SNAKE_LIGHT, wd.DirectionalLight((-0.5, 1.0, 0.4))]
-    wd.shade(snake, fingers, lights, view, coherence=SHORT, tolerance=0.1, progress=seen.append, **options)
-    assert len(seen) > 3
-    assert np.all(np.diff(seen) >= 0.0)
-    assert seen[0] > 0.0
-    assert seen[-1] == 1.0
+    wd.shade(snake, fingers, lights, view, coherence=SHORT, tolerance=0.1, progress=visible.append, **options)
+    assert len(visible) > 3
+    assert np.all(np.diff(visible) >= 0.0)
+    assert visible[0] > 0.0
+    assert visible[-1] == 1.0
 
 
 @pytest.mark.permanent("forks, process pools, callbacks that render or raise")
@@ -436,8 +436,8 @@ def test_progress_may_render_or_fail(threads):
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=fail)
-        found = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=render).xyz
-        np.testing.assert_array_equal(found, expected)
+        result = wd.shade(mesh, heightfield, light, camera, plan=plan, threads=threads, progress=render).xyz
+        np.testing.assert_array_equal(result, expected)
     assert len(nested) > 1
     for each in nested:
         np.testing.assert_array_equal(each, expected)
@@ -459,5 +459,5 @@ def test_threads_that_render_at_once_draw_the_same(tries):
     for _ in tries.of(range(count(3, 15))):
         tries.number += 7
         with ThreadPoolExecutor(8) as pool:
-            found = list(pool.map(render, range(8)))
-        np.testing.assert_array_equal(found, expected)
+            result = list(pool.map(render, range(8)))
+        np.testing.assert_array_equal(result, expected)

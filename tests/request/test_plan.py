@@ -1,4 +1,4 @@
-"""Plans: from a tolerance to numbers, what they say, that they are obeyed; and the tables kept for the next call."""
+"""Plans: their numbers for a tolerance, their text, their effect on results, and cached coefficient tables."""
 
 import dataclasses
 import gc
@@ -26,19 +26,19 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """A small patch with structure in both directions, fine enough for the whole hemisphere."""
+    """Return a small patch with structure in both directions, fine enough for the whole hemisphere."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
 def deep(height_um: float) -> wd.HeightField:
-    """A random surface of a given height range."""
+    """Return a random surface with a given height range."""
     heights = np.random.default_rng(8).uniform(size=(16, 16))
     heights = (heights - heights.min()) / np.ptp(heights) * height_um
     return wd.HeightField.of_known_scale(heights, 0.05)
 
 
 def test_ranges(rough, rng):
-    # The direct sum's plan has the ranges of any other, and is not searched for.
+    # A plan for the direct sum has the same ranges as others, and needs no search.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -59,13 +59,13 @@ def test_ranges(rough, rng):
 
 
 @pytest.mark.parametrize("below", [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
-def test_directions_below_the_horizon_ask_for_nothing(rough, below):
+def test_directions_below_the_horizon_need_no_wavelengths(rough, below):
     assert wd.plan(rough, [UP, below], UP) == wd.plan(rough, UP, UP)
     nothing = wd.plan(rough, below, UP)
     assert (nothing.max_uv, nothing.max_w) == (0.0, 0.0)
 
 
-def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
+def test_a_plan_for_the_hemisphere_is_valid_for_any_direction(rough, rng):
     whole = wd.plan(rough, method="direct")
     for light, view in zip(hemisphere(rng, 20), hemisphere(rng, 20), strict=True):
         one, half = wd.plan(rough, light, view), wd.plan(rough, light, method="direct")
@@ -76,19 +76,20 @@ def test_the_whole_hemisphere_holds_for_any_direction(rough, rng):
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
-def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
+def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     coherence = wd.Coherence(kind, 6.5)
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions a table is taken for the larger tolerances; it has numbers of its own.
+        # With many directions and large tolerances, "auto" would use tables, which have other numbers than sampled
+        # plans.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured values may be smaller for the larger tolerance, where neither plan could be smaller.
+        # Measured errors may be smaller at the larger tolerance, if both plans are as small as possible.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -105,7 +106,7 @@ def test_a_smaller_tolerance_never_asks_for_less(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """And predicts what the truth measures, within a factor of 10 above, on other directions, too."""
+    """The predicted error is at most ten times the measured error, also on directions that were not planned for."""
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
@@ -113,15 +114,15 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.is_measured
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
-    # The sum over copies that is the truth takes a tenth of a second for each direction.
+    # The exact sum over replicated periods requires 0.1 s per direction, so fewer directions are compared.
     apart = 650 if coherence.kind == "replicas" else 160
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = wd.reflectance(rough, lights[part], views[part], plan=plan)
+            result = wd.reflectance(rough, lights[part], views[part], plan=plan)
         floor = FLOOR * reference_luminance(exact[:, 1])
-        error = np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
+        error = np.linalg.norm(result - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
         assert np.percentile(error, 99.0) <= plan.tolerance
         bright = exact[:, 1] >= floor
         measured = max(np.percentile(error[some], 99.0) for some in (bright, ~bright))
@@ -138,7 +139,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    # The first line says whether results can be trusted.
+    # The first line of a plan's text says whether results can be trusted.
     assert text.splitlines()[0] == (
         f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
         "validation directions."
@@ -199,14 +200,14 @@ def test_a_damaged_plan_is_refused(rough, change, message, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
-def test_the_number_of_terms_is_obeyed(rough, kind):
+def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     light, view, wavelength_um = at_angle(25.0), at_angle(-5.0), 0.5
     coherence = wd.Coherence(kind, 3.25)
     full = wd.plan(rough, light, view, coherence=coherence, method="jacobi-anger")
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
-    # The same sum in float64, over all coefficients of the patch.
+    # The reference for five terms is the same series in float64, over all coefficients of the patch.
     block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
     expansion = EXPANSIONS[plan.method]
     series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)
@@ -225,13 +226,13 @@ def test_the_number_of_terms_is_obeyed(rough, kind):
     normal = reflectance_factors.normal_reflectance(1.5)
     gain = reflectance_factors.gain(light[None], view[None], normal=normal, masking=True)[0]
 
-    found = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
-    assert found == pytest.approx(gain * power, rel=1e-4)
-    assert found != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
+    result = wd.spectral_reflectance(rough, light, view, 1e3 * wavelength_um, plan=plan)[0]
+    assert result == pytest.approx(gain * power, rel=1e-4)
+    assert result != pytest.approx(wd.spectral_reflectance(rough, light, view, 500.0, plan=full)[0], rel=1e-2)
 
 
 @pytest.mark.parametrize("kind", ["averaged", "source", "replicas"])
-def test_numbers_are_obeyed(rough, kind):
+def test_results_use_the_numbers_of_the_plan(rough, kind):
     light, view = at_angle(25.0), at_angle(-5.0)
     coherence = {
         "averaged": wd.Coherence(sigma_um=3.25),
@@ -243,18 +244,18 @@ def test_numbers_are_obeyed(rough, kind):
     changes = [{"wavelengths": 3}, {"terms": 1}]
     changes.append({"subdivisions": 1, "wavelengths": 64} if kind == "replicas" else {"least_weight": 0.5})
     for changed in changes:
-        found = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
-        assert np.linalg.norm(found - expected) > 1e-2 * np.linalg.norm(expected)
+        result = wd.reflectance(rough, light, view, plan=dataclasses.replace(full, **changed))
+        assert np.linalg.norm(result - expected) > 1e-2 * np.linalg.norm(expected)
     more = dataclasses.replace(full, terms=full.terms + 8, least_weight=1e-13, wavelengths=4 * full.wavelengths)
-    found = wd.reflectance(rough, light, view, plan=more)
-    assert np.linalg.norm(found - expected) < full.tolerance * np.linalg.norm(expected)
+    result = wd.reflectance(rough, light, view, plan=more)
+    assert np.linalg.norm(result - expected) < full.tolerance * np.linalg.norm(expected)
 
 
 def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
     light, view = at_angle(25.0), hemisphere(np.random.default_rng(1), 9)
     plan = wd.plan(rough, light, view, tolerance=3e-2)
-    found = wd.reflectance(rough, light, view, tolerance=3e-2)
-    np.testing.assert_array_equal(found, wd.reflectance(rough, light, view, plan=plan))
+    result = wd.reflectance(rough, light, view, tolerance=3e-2)
+    np.testing.assert_array_equal(result, wd.reflectance(rough, light, view, plan=plan))
     image = wd.reflectance_map(rough, light, size=8, tolerance=3e-2)
     again = wd.reflectance_map(rough, light, size=8, plan=image.plan)
     assert again.plan is image.plan
@@ -269,15 +270,15 @@ def test_plans_are_values(rough):
         one.terms = 3
 
 
-# Taken with strict=False, so deep a surface has scalar theory warned of as well, by the plan alone.
+# The warning that scalar theory is invalid for so deep a surface is ignored.
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # For the whole hemisphere a plan is searched for, with kernels of every number of terms.
+    # A plan for the whole hemisphere needs a search, which compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
-def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_the_same(directions, how):
+def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false(directions, how):
     views = hemisphere(np.random.default_rng(2), 20)
     for height, method in ((3.0, "taylor"), (8.0, "auto")):
         heightfield = deep(height)
@@ -290,25 +291,25 @@ def test_a_height_range_that_float32_cannot_serve_is_refused_and_computed_all_th
                 result = call(heightfield, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
-    # The direct sum has no series.
+    # The direct sum uses no series, so any height range can be computed.
     assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
 
 
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """The largest number of terms leaves 3e-3 of an amplitude, which weak orders show a thousand times larger."""
+    """With the most terms, amplitudes have an error of 3e-3, which is 1000 times larger for weak orders."""
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)
 
 
-def test_the_automatic_series_serves_what_taylor_cannot(rng):
+def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
     heightfield = deep(3.0)
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     options = {"coherence": wd.Coherence(sigma_um=0.5), "tolerance": 1e-4}
     exact = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], method="direct", **options)
-    found = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
-    np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
+    result = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
+    np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
 
 
 def test_heights_in_another_unit_are_refused(rough):
@@ -321,7 +322,7 @@ def test_heights_in_another_unit_are_refused(rough):
             wd.reflectance(deep(height_um), UP, UP, plan=plan)
 
 
-def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
+def test_an_explicit_plan_is_used_with_a_warning_beyond_its_range(rough):
     narrow, whole = wd.plan(rough, UP, at_angle(5.0)), wd.plan(rough, coherence=wd.Coherence(sigma_um=3.0))
     calls = {
         "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
@@ -330,8 +331,8 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
     }
     for what, call in calls.items():
         with pytest.warns(wd.WarpdiffWarning, match=f"beyond its valid range: .*{what}"):
-            found = call()
-        assert np.all(np.isfinite(found))
+            result = call()
+        assert np.all(np.isfinite(result))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
@@ -341,14 +342,14 @@ def test_an_explicit_plan_is_used_and_warned_of_beyond_its_range(rough):
 @pytest.mark.parametrize(
     "coherence", [wd.Coherence("source", angular_diameter_deg=2.0), wd.Coherence("replicas", periods=(4, 4))], ids=str
 )
-def test_a_plan_is_warned_of_beyond_its_order_rate(coherence):
+def test_a_plan_beyond_its_order_rate_causes_a_warning(coherence):
     fine = wd.gratings.fingers(size_um=3.2, pitch_um=0.1, seed=1)
     narrow = wd.plan(fine, UP, at_angle(5.0), coherence=coherence)
     with pytest.warns(wd.WarpdiffWarning, match="order rate up to"):
         wd.reflectance(fine, UP, at_angle(40.0), plan=narrow)
 
 
-def test_a_fitted_basis_is_warned_of_below_its_range(rough):
+def test_a_fitted_basis_below_its_range_causes_a_warning(rough):
     steep = wd.plan(rough, UP, at_angle(5.0), method="low-rank")
     blue = dataclasses.replace(steep, lambda_max_nm=500.0)
     with pytest.warns(wd.WarpdiffWarning, match=r"1/λ \[1/µm\] down to 1.28, planned 2"):
@@ -365,7 +366,7 @@ def test_windows_too_long_for_a_colour_are_refused(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """However coarse its pitch: no order leaves the plane, and none is said to alias."""
+    """A field of one row has no orders outside of the plane of incidence, and no aliasing, for any pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -375,7 +376,7 @@ def test_one_row_is_constant_along_y():
         assert thick[0] < 1e-30
 
 
-def test_a_coarse_pitch_is_said_to_alias(rough):
+def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
     coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
     with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
         wd.plan(coarse, method="direct")
@@ -391,7 +392,7 @@ def test_a_coarse_pitch_is_said_to_alias(rough):
 
 @pytest.fixture
 def builds(monkeypatch):
-    """The height fields whose coefficients were fitted."""
+    """Return a list of the height fields whose coefficients are fitted during the test."""
     built = []
     fitted = coefficient_basis.fitted
 
@@ -403,23 +404,23 @@ def builds(monkeypatch):
     return built
 
 
-def test_tables_are_kept_for_the_next_call(rough, builds):
+def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
     plan = wd.plan(heightfield, tolerance=0.3)
     assert len(builds) == 1
     first = wd.reflectance(heightfield, UP, UP, plan=plan)
     np.testing.assert_array_equal(wd.reflectance(heightfield, UP, UP, plan=plan), first)
-    # A light that moves, another index, other wavelengths, terms and windows need no new coefficients.
+    # Other lights, indices of refraction, wavelengths and numbers of terms need no new coefficients.
     wd.reflectance(heightfield, at_angle(10.0), UP, plan=plan, ior=2.0)
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
     assert len(builds) == 1
-    # Equal heights in another object are another height field.
+    # A height field with equal heights in another object has its own tables.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
     assert len(builds) == 2
 
 
-def test_few_tables_are_kept(rough, builds):
+def test_the_number_of_cached_tables_is_limited(rough, builds):
     heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
     plan = wd.plan(heightfield, tolerance=0.3)
     scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
@@ -427,14 +428,14 @@ def test_few_tables_are_kept(rough, builds):
         wd.reflectance(heightfield, UP, UP, plan=each)
     assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
-    # The oldest went.
+    # The least recently used table was removed.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
     assert len(builds) == 1 + len(scopes)
     wd.reflectance(heightfield, UP, UP, plan=scopes[0])
     assert len(builds) == 2 + len(scopes)
 
 
-def test_tables_die_with_their_height_field(rough, builds):
+def test_tables_are_deleted_with_their_height_field(rough, builds):
     heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
     wd.reflectance(heightfield, UP, UP, method="low-rank")
     gc.collect()
@@ -445,7 +446,7 @@ def test_tables_die_with_their_height_field(rough, builds):
     assert len(table_cache._caches) == before - 1
 
 
-def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
+def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
     """A fitted basis depends on the range of its plan, not on the other directions of a call."""
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     plan = wd.plan(rough, lights, views)
@@ -455,21 +456,21 @@ def test_a_pinned_plan_computes_the_same_in_any_company(rough, rng):
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
-def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
-    """Directions of small |(u, v)| take fewer wavelengths, and lose nothing by it."""
+def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tolerance):
+    """Directions of small |(u, v)| use fewer wavelengths, without a loss of accuracy."""
     lights = hemisphere(rng, 200)
     views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # Too few for a search: the bounds themselves.
+    # A call with so few directions has no search, so the plan consists of upper bounds.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive
     finest = dataclasses.replace(plan, adaptive=False, wavelengths=8 * plan.wavelengths)
-    found, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
-    assert np.percentile(relative_errors(found, exact), 99.0) <= tolerance
+    result, exact = (wd.reflectance(rough, lights, views, plan=each) for each in (plan, finest))
+    assert np.percentile(relative_errors(result, exact), 99.0) <= tolerance
     quadrature = coefficient_table.quadrature_for(rough, plan, IlluminatedMaterial("D65"), device="cpu")
     sizes = np.diff(quadrature.firsts.numpy())
     assert sizes[0] == plan.wavelengths
@@ -480,8 +481,8 @@ def test_fewer_wavelengths_where_fewer_do(rough, rng, tolerance):
     assert fixed.firsts.numpy().tolist() == [0, plan.wavelengths]
 
 
-def test_a_maps_pixels_may_be_means(rough):
-    """Each pixel is the mean over a grid of directions. Its coverage is the share of them on the disc."""
+def test_pixels_of_a_map_can_be_means(rough):
+    """Each pixel is the mean over a grid of directions, and its coverage is the share of directions on the disc."""
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
     means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)
@@ -491,7 +492,7 @@ def test_a_maps_pixels_may_be_means(rough):
 
 
 @pytest.mark.parametrize("height_um", [0.3, 0.31])
-def test_no_series_is_made_twice(height_um, monkeypatch):
+def test_no_series_is_computed_twice(height_um, monkeypatch):
     made = []
     of_series = coefficient_basis.of_series
 

@@ -1,4 +1,4 @@
-"""Settings: one field is an option everywhere; misspelt names and wrong values get one clear error."""
+"""Settings: each field is an option in all front ends; misspelt names and invalid values raise one clear error."""
 
 import inspect
 import json
@@ -45,7 +45,7 @@ print(json.dumps({
 
 
 def copied(folder):
-    """A copy of the package with one more field of the settings of pictures, and nothing else."""
+    """Copy the package with one additional field in the settings of pictures."""
     shutil.copytree(ROOT / "warpdiff", folder / "warpdiff", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "kernels", folder / "warpdiff" / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
     path = folder / "warpdiff" / "request" / "settings.py"
@@ -71,11 +71,11 @@ def test_a_field_is_an_option_everywhere(tmp_path):
     from bench.dev.write_keywords import keywords
 
     source = copied(tmp_path)
-    found = json.loads(run(tmp_path, PROBE))
-    assert found["signature"] == "sparkle=0.5"
-    assert "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)" in found["help"]
-    assert found["refused"] == "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
-    (control,) = found["viewer"]
+    result = json.loads(run(tmp_path, PROBE))
+    assert result["signature"] == "sparkle=0.5"
+    assert "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)" in result["help"]
+    assert result["refused"] == "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
+    (control,) = result["viewer"]
     assert (control["minimum"], control["maximum"], control["default"]) == (0.0, 2.0, 0.5)
     shown = run(tmp_path, "from warpdiff.apps.cli import main; main(sys.argv[1:])", "render", "--help")
     assert "--sparkle X" in shown
@@ -83,7 +83,7 @@ def test_a_field_is_an_option_everywhere(tmp_path):
     assert "    sparkle: float\n" in keywords(source)
 
 
-def test_keywords_are_those_of_the_settings():
+def test_generated_keywords_equal_the_settings():
     from bench.dev.write_keywords import KEYWORDS, SETTINGS, keywords
 
     written = KEYWORDS.read_text(encoding="utf-8")
@@ -101,7 +101,7 @@ def test_signatures_and_docstrings_list_every_option(function):
     assert not [each for each in parameters.values() if each.kind is each.VAR_KEYWORD]
 
 
-def test_misspelt_names_get_the_one_that_was_meant():
+def test_errors_of_misspelt_names_propose_the_correct_name():
     heightfield = wd.gratings.bumps()
     with pytest.raises(TypeError, match=r"^reflectance\(\) has no argument tolernce; did you mean 'tolerance'\?$"):
         wd.reflectance(heightfield, UP, UP, tolernce=0.1)
@@ -149,7 +149,7 @@ def test_type_checkers_report_misspelt_options(checker, tmp_path):
 
 
 def legal(option: Option) -> st.SearchStrategy:
-    """Legal values of an option, from its description alone."""
+    """Return a strategy for the legal values of an option, derived from its description."""
     if option.choices:
         return st.sampled_from(option.choices)
     if option.kind == "flag":
@@ -169,18 +169,18 @@ SIMPLE = {
 
 
 @given(st.fixed_dictionaries({}, optional=SIMPLE))
-def test_settings_take_what_their_descriptions_allow(values):
+def test_settings_accept_the_values_that_their_descriptions_allow(values):
     try:
         made = settings.PictureSettings(**values)
     except ValueError as error:
-        # Rules over two options name both.
+        # An error message about two options names both of them.
         assert "method" in str(error)  # noqa: PT017
     else:
         for name, value in values.items():
             assert getattr(made, name) == value
 
 
-def test_every_option_states_what_it_is():
+def test_every_option_has_a_default_and_a_description():
     for group in set(GROUPS.values()):
         for option in describe(group).values():
             assert option.default is not REQUIRED

@@ -1,4 +1,4 @@
-"""Bad input: one row per input, with the message it gets, before any kernel runs and before any file is changed."""
+"""Invalid arguments: each one raises the expected error before a kernel runs and before a file changes."""
 
 import dataclasses
 import inspect
@@ -17,7 +17,7 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# For one direction, which nothing is searched for: each worker imports this file.
+# The plan is for a single direction, which needs no search, because every test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -28,7 +28,7 @@ TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def bare(vertices=TRIANGLE, faces=((0, 1, 2),)) -> trimesh.Trimesh:
-    """A mesh without texture coordinates."""
+    """Return a mesh without texture coordinates."""
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
@@ -41,8 +41,8 @@ EVALUATE = {
     "shade": lambda heightfield=HF, **options: wd.shade(MESH, heightfield, LIGHT, VIEW, **options),
 }
 
-# Operands and options that several functions take, beyond what their descriptions say (see test_refusals): each row is
-# tried with every function that takes it.
+# Invalid values of arguments that several functions share, in addition to those of test_refusals.py. Each row is tested
+# with every function that has the argument.
 SHARED = [
     ("heightfield", np.zeros((8, 8)), TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
     ("heightfield", "scan.png", TypeError, r"heightfield must be a warpdiff\.HeightField, got str"),
@@ -62,9 +62,9 @@ SHARED = [
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 
-# Other arguments; each call receives an empty folder.
+# Invalid values of other arguments. Each call gets an empty folder.
 VALUE_ERRORS = [
-    # Height fields
+    # Invalid height fields
     (lambda _: wd.HeightField([[math.nan]], 0.1), "heights_um must have at least one height, got 1 NaN"),
     (lambda _: wd.HeightField([[-math.inf]], 0.1), "heights_um must be finite, got 1 infinite"),
     (lambda _: wd.HeightField([0.0, 1.0], 0.1), r"heights_um must be a 2-D array, got shape \(2,\)"),
@@ -74,7 +74,7 @@ VALUE_ERRORS = [
     (lambda _: wd.HeightField([[0.0]], (0.1, 0.0)), r"pitch_um\[1\] must be a finite number, more than 0"),
     (lambda d: wd.HeightField.load(text(d / "a.png"), extent_um=1), "path: .* cannot be read as an image"),
     (lambda d: wd.HeightField.load(text(d / "a.npy"), extent_um=1), "path: .* cannot be read as .npy"),
-    # Windows, lights, views
+    # Invalid coherence models, lights and views
     (lambda _: wd.Coherence("replicas", periods=3), r"periods must be a pair \(y, x\) of integers, got 3"),
     (lambda _: wd.Coherence("replicas", periods=(1, 2, 3)), r"periods must be a pair .* got \(1, 2, 3\)"),
     (lambda _: wd.Coherence("replicas", periods="12"), r"periods must be a pair .* got '12'"),
@@ -83,7 +83,7 @@ VALUE_ERRORS = [
     (lambda _: wd.Coherence("replicas", periods=(1, 10**6)), r"periods\[1\] must be .* at most 100000, got 1000000"),
     (lambda _: wd.Coherence("centred", centre_um=3.0), r"centre_um must be a pair \(y, x\), got"),
     (lambda _: wd.Coherence("centred", centre_um=(0, math.nan)), "centre_um must be finite"),
-    # Directions and wavelengths
+    # Invalid directions and wavelengths
     (lambda _: wd.reflectance(HF, [0, 0, 0], UP), "to_light must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, UP, [UP, [0, 0, 0]]), "to_view must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, [math.nan, 0, 1], UP), "to_light must be finite, got 1 NaN"),
@@ -102,7 +102,7 @@ VALUE_ERRORS = [
     (lambda _: wd.spectral_reflectance(HF, UP, UP, 0.5), "wavelengths_nm .* give wavelengths in nanometres"),
     (lambda _: wd.reflectance_map(HF, [0, 0, -1]), r"to_light must lie above the horizon \(z > 0\)"),
     (lambda _: wd.reflectance_map(HF, [UP, UP]), r"to_light must have shape \(3,\) for a map, got \(2, 3\)"),
-    # Meshes and lights of a picture
+    # Invalid meshes and lights of a picture
     (lambda d: shade(text(d / "a.txt")), "mesh must be a file that trimesh can read"),
     (lambda d: shade(text(d / "a.obj")), "mesh must "),
     (lambda _: shade(trimesh.Trimesh()), "mesh must have vertices, got none"),
@@ -113,7 +113,7 @@ VALUE_ERRORS = [
     (lambda _: shade(bare()), "mesh has neither texture coordinates nor tangents; give tangents"),
     (lambda _: shade(bare(TRIANGLE * [1, 0, 0]), tangents=np.ones((3, 3))), "mesh must have a face with an area, got"),
     (lambda _: shade(light=wd.DirectionalLight(UP, illuminant="D66")), r"lights\[0\].illuminant must be .* got 'D66'"),
-    # Plans
+    # Invalid plans
     (lambda _: dataclasses.replace(CENTRED_PLAN, method="power", rings_per_octave=0),
      "method='power' cannot be used with kind='centred', whose coefficients add as amplitudes, not as powers:"),
     (lambda _: wd.reflectance(HF, UP, UP, plan=PLAN, coherence=wd.Coherence("centred")),
@@ -123,7 +123,7 @@ VALUE_ERRORS = [
     (lambda _: shade(plan=changed(wavelengths=0)), "plan has no wavelengths"),
     (lambda _: wd.reflectance(wd.HeightField(np.zeros((9, 9)), 10.0), UP, UP, coherence=wd.Coherence(sigma_um=0.1)),
      "sigma_um=0.1 is too short for a patch of 90 × 90 µm"),
-    # Magnitudes that no field has
+    # Values outside of the supported magnitudes
     (lambda _: wd.HeightField([[1e16, 0.0]], 0.1), r"heights_um must lie within ±1e\+15, got 1e\+16"),
     (lambda _: wd.HeightField([[0.0]], 1e16), r"pitch_um must be .*, more than 0 and at most 1e\+15, got 1e\+16"),
     (lambda _: wd.HeightField([[0.0]], 1e-16), "pitch_um must be at least 1e-15, got 1e-16"),
@@ -178,7 +178,7 @@ MISSING_FILES = [
     (lambda d: shade(d / "no.obj"), "the mesh file .*no.obj' does not exist"),
 ]
 CALLS = {ValueError: VALUE_ERRORS, TypeError: TYPE_ERRORS, MemoryError: MEMORY_ERRORS, FileNotFoundError: MISSING_FILES}
-# Fields of a plan.
+# Invalid fields of a plan, with the expected message.
 PLANS = [
     ("terms", 129, "terms must be 1 to 128, got 129"),
     ("least_weight", 2, "least_weight must be less than 1, got 2: no"),
@@ -191,7 +191,7 @@ PLANS = [
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 
-# Refusals of ``save`` that the descriptions of its options do not cover.
+# Errors of ``Image.save`` that do not follow from the descriptions of its options.
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
@@ -208,30 +208,30 @@ SAVES = [
 
 
 def changed(**fields):
-    """The plan with other fields."""
+    """Return a copy of the plan with other values in some fields."""
     return dataclasses.replace(PLAN, **fields)
 
 
 def shade(mesh=MESH, light=LIGHT, view=VIEW, **options):
-    """A picture with one argument changed."""
+    """Render a small picture with the given arguments and defaults for the others."""
     return wd.shade(mesh, HF, light, view, **options)
 
 
 def text(path):
-    """A file that is not what its name says."""
+    """Write a text file under a name with the suffix of another format, and return its path."""
     path.write_text("this is a line of prose\n")
     return path
 
 
 def options_of(name: str) -> set[str]:
-    """Keyword-only parameters of a public function, and ``heightfield``."""
+    """Return the names of the keyword-only parameters of a public function, and ``heightfield``."""
     parameters = inspect.signature(getattr(wd, name)).parameters.values()
     return {option.name for option in parameters if option.kind is option.KEYWORD_ONLY} | {"heightfield"}
 
 
 @pytest.fixture
 def no_kernel(monkeypatch):
-    """The names of kernels that were launched, which must stay empty."""
+    """Fail the test if it launches a kernel."""
     launched = []
     monkeypatch.setattr(wp, "launch", lambda kernel, *_, **__: launched.append(kernel))
     yield
@@ -261,8 +261,8 @@ def test_options(function, option, value, error, message):
 @pytest.mark.parametrize("function", EVALUATE)
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
-def test_powers_are_no_basis_for_amplitudes(function, kind):
-    """The message lists what is legal: all but what was asked for."""
+def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
+    """The message lists all legal methods except the requested one."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)
@@ -272,7 +272,7 @@ def test_powers_are_no_basis_for_amplitudes(function, kind):
 
 @pytest.mark.parametrize("option", ["device", "threads", "progress", "masking"])
 @pytest.mark.usefixtures("no_kernel")
-def test_the_direct_method_checks_what_it_has_no_use_for(option):
+def test_the_direct_method_checks_options_that_it_ignores(option):
     with pytest.raises((TypeError, ValueError), match=f"{option} must be"):
         wd.reflectance(HF, UP, UP, method="direct", **{option: "bad"})
 
@@ -287,7 +287,7 @@ def test_the_direct_method_checks_what_it_has_no_use_for(option):
 )
 @pytest.mark.usefixtures("no_kernel")
 def test_arguments(error, call, message, tmp_path, monkeypatch):
-    # Some systems do not report it.
+    # Set the free memory to a fixed value, because some systems do not report it.
     monkeypatch.setattr(memory, "available", lambda: 4e9)
     with pytest.raises(error, match=message):
         call(tmp_path)
@@ -299,7 +299,7 @@ def test_plans(field, value, message):
         changed(**{field: value})
 
 
-def test_heights_of_another_unit_are_refused_before_kernels_are_asked_for():
+def test_heights_of_another_unit_are_refused_before_kernels_are_compiled():
     with pytest.raises(ValueError, match=r"heightfield has a height range of 4e.14 µm, which is .* wavelengths of"):
         wd.shade(MESH, wd.HeightField.of_known_scale([[0.0, 4e14]], 0.1), LIGHT, VIEW)
 

@@ -1,4 +1,4 @@
-"""Files of scans and of meshes, damaged at random: read, or refused with their path, and nothing else is opened."""
+"""Randomly damaged height-field and mesh files are read or refused by path, and no other files are opened."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import pytest
 from endurance import SEED, count, seconds_left
 
 if os.name != "posix":
-    pytest.skip("limits of memory are POSIX", allow_module_level=True)
+    pytest.skip("memory limits require POSIX", allow_module_level=True)
 HERE = Path(__file__).parent
 
 

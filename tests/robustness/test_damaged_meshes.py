@@ -1,4 +1,4 @@
-"""Damaged mesh files are refused by one error with their path; a lost texture is reported by its name."""
+"""Damaged mesh files raise one error with their path. Textures that cannot be read cause a warning with their name."""
 
 import warnings
 
@@ -25,14 +25,14 @@ MTL = "newmtl paint\nKd 0.5 0.25 1.0\nmap_Kd paint.png\n"
 
 
 def damaged(folder, name="paint.png"):
-    """A PNG whose pixels break off."""
+    """Write a PNG file that ends in the middle of its pixel data."""
     noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), dtype=np.uint8)
     Image.fromarray(noise).save(folder / name)
     (folder / name).write_bytes((folder / name).read_bytes()[:6000])
 
 
 def spoilt(folder, name="paint.png"):
-    """A PNG whose second chunk of pixels has lost its name."""
+    """Write a PNG file in which the name of the second pixel-data chunk is overwritten."""
     noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
     Image.fromarray(noise).save(folder / name)
     first, second, rest = (folder / name).read_bytes().split(b"IDAT", 2)
@@ -44,7 +44,7 @@ def no_image(folder):
 
 
 def too_large(folder):
-    # One bit per pixel compresses well. Pillow refuses images of twice its limit.
+    # An image with one bit per pixel compresses to a small file. Pillow refuses images of twice its size limit.
     Image.new("1", (20_000, 20_000)).save(folder / "paint.png")
 
 
@@ -57,7 +57,7 @@ def too_large(folder):
      (spoilt, r"texture 'paint\.png' is damaged and ignored: broken PNG file")],
     ids=["missing", "no-image", "too-large", "cut-off", "broken"],
 )  # fmt: skip
-def test_a_lost_texture_is_reported_and_the_plain_colour_stands_in(tmp_path, make, message):
+def test_an_unreadable_texture_is_reported_and_replaced_by_the_plain_colour(tmp_path, make, message):
     (tmp_path / "mesh.obj").write_text(OBJ)
     (tmp_path / "paint.mtl").write_text(MTL)
     make(tmp_path)
@@ -133,7 +133,7 @@ def test_a_damaged_file_of_another_format_is_refused_by_its_path(tmp_path, suffi
     path = tmp_path / f"cut.{suffix}"
     wd.meshes.tube(segments_along=12, segments_around=12).export(path)
     path.write_bytes(path.read_bytes()[:400])
-    # With a package that detects encodings, trimesh reads the rest of a binary STL file as text without triangles.
+    # If a package for text encodings is installed, trimesh reads a truncated binary STL file as text without triangles.
     message = r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* without any)"
     with pytest.raises(ValueError, match=message) as refused:
         prepare_surface(path)

@@ -1,4 +1,4 @@
-"""Tests of minutes: memory over thousands of calls, and processes that compile the same kernels at once."""
+"""Long tests of a soak test: memory over thousands of calls, and processes that compile kernels simultaneously."""
 
 import hashlib
 import os
@@ -13,13 +13,13 @@ from endurance import IS_SOAK
 import warpdiff as wd
 
 if not IS_SOAK:
-    pytest.skip("runs by make soak", allow_module_level=True)
+    pytest.skip("make soak runs these tests", allow_module_level=True)
 FOLDER = Path(__file__).parent
 MOST_GROWTH = 100 << 20
 
 
 def varied(rng):
-    """A small call of any kind."""
+    """Make a small call of a randomly chosen public function."""
     heightfield = wd.gratings.fingers(size_um=6.4, seed=int(rng.integers(2**31)))
     coherence = wd.Coherence(sigma_um=rng.uniform(2.0, 4.0))
     options = {"coherence": coherence, "tolerance": 0.2, "threads": int(rng.integers(1, 5)), "strict": False}

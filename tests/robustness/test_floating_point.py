@@ -1,4 +1,4 @@
-"""Legal calls raise nothing where NumPy raises on every floating-point error: values that vanish are zero."""
+"""Legal calls cause no floating-point error, although NumPy is set to raise on each one; underflow gives zero."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Forked and spawned processes of one that renders: each draws the same picture, or says why it cannot."""
+"""Child processes of a process that has rendered: each one renders the same picture, or raises a clear error."""
 
 import functools
 import importlib
@@ -24,7 +24,7 @@ from warpdiff.core.threads import parallel_for
 from warpdiff.device import devices
 
 if not hasattr(os, "fork"):
-    pytest.skip("this system has no forks", allow_module_level=True)
+    pytest.skip("this system cannot fork processes", allow_module_level=True)
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
@@ -36,14 +36,14 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(autouse=True)
 def _linear_algebra_has_threads(monkeypatch):
-    """Here and in other processes, as it has for users: the test command allows one."""
+    """Give linear algebra two threads, as users have; the test command allows only one thread."""
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with threadpool_limits(limits=2, user_api="blas"):
         yield
 
 
 def picture(angle=0.0):
-    """A tiny one, with tables, means and shadows, on two threads."""
+    """Render a tiny picture with a colour table, footprints and shadows, on two threads."""
     return _scene()(wd.View((3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)), (0.0, 0.0, 0.0), width=40, height=30))
 
 
@@ -57,7 +57,7 @@ def _scene():
 
 
 def in_child(work):
-    """The exit code of a forked child that does some work: 0 if that is true; it is killed if it hangs."""
+    """Return the exit code of a forked child: 0 if ``work()`` is true. The child is killed if it hangs."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -82,7 +82,7 @@ def test_a_child_draws_what_its_parent_draws():
 
 
 def save_on_both_sides_of_forks(folder):
-    """Twice, as the second fork finds what the first files have left."""
+    """Save pictures in a parent and its forked child, twice: the second fork inherits the state of the first saves."""
     colours = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
     mask, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
     plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
@@ -96,13 +96,13 @@ def save_on_both_sides_of_forks(folder):
 
 
 def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
-    """In a process of its own: other tests read EXR files by OpenEXR's threads, which no child has."""
+    """The test runs in a separate process, because other tests may have started OpenEXR's threads in this one."""
     code = "import sys, test_forks as t; t.save_on_both_sides_of_forks(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
 
 def test_a_child_may_be_the_first_to_draw():
-    """Without any kernel loaded, and in turn forked."""
+    """Fork before any kernel is loaded, and let the child fork as well."""
     code = (
         "import test_forks as t\n"
         "first = lambda: t.in_child(lambda: t.picture().any()) == 0 and t.picture().any()\n"
@@ -111,7 +111,7 @@ def test_a_child_may_be_the_first_to_draw():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# One process is enough for methods that start a fresh interpreter.
+# A pool of one process suffices for start methods with a fresh interpreter.
 @pytest.mark.parametrize(("method", "processes"), [("fork", 2), ("spawn", 1), ("forkserver", 1)])
 def test_pools_of_any_method_draw_the_same(method, processes):
     angles = (0.0, 0.3)
@@ -141,8 +141,8 @@ def test_forks_while_other_threads_draw():
             thread.join()
 
 
-def test_no_cached_property_has_a_lock_of_its_own():
-    """Python 3.11's has one for all objects: a child whose parent's threads were computing would wait for ever."""
+def test_no_cached_property_uses_the_lock_of_functools():
+    """In Python 3.11 all objects share the lock of ``cached_property``. A forked child could wait for it forever."""
     sources = sorted(Path(wd.__file__).parent.rglob("*.py"))
     users = [path for path in sources if re.search(r"functools\b.*cached_property", path.read_text(encoding="utf-8"))]
     assert users == [Path(forks.__file__)]
@@ -228,12 +228,12 @@ assert t.in_child(used) == 0
 
 
 def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
-    """OpenColorIO's locks, among others, would be held in the child for ever."""
+    """Without waiting for other threads, a fork would copy locks, such as OpenColorIO's, that stay locked forever."""
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 
 def test_a_fork_waits_for_imports_and_kernels():
-    """A thread begins from nothing meanwhile."""
+    """Fork while another thread imports packages and loads kernels."""
     code = (
         "import threading, time\n"
         "import test_forks as t\n"
@@ -253,7 +253,7 @@ def test_a_fork_waits_for_imports_and_kernels():
         subprocess.run(command, cwd=HERE, check=True, timeout=_MOST_S)
 
 
-def test_work_that_is_cut_in_two_ends_in_the_child():
+def test_a_fork_within_threaded_work_ends_with_an_error_in_the_child():
     done, children = [], []
 
     def slowly(item):
@@ -297,8 +297,8 @@ assert counts == [1], counts
     ("locks", "lock"),
     [({}, None), ({"_module_locks": None}, object()), ({"_module_locks": {"warp": object()}}, None)],
 )
-def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(locks, lock, monkeypatch):
-    """Both are private, and another version may have none or others; a fork then waits for less."""
+def test_forks_work_without_the_private_locks_of_python_and_warp(locks, lock, monkeypatch):
+    """Private locks of Python and Warp may not exist in other versions. Forks then do not wait for them."""
     expected = picture()
     private = {name: value for name, value in vars(importlib._bootstrap).items() if name != "_module_locks"}
     monkeypatch.setattr(importlib, "_bootstrap", types.SimpleNamespace(**private, **locks))
@@ -311,5 +311,5 @@ def test_where_python_or_warp_keep_their_locks_elsewhere_forks_wait_for_less(loc
 
 
 def test_threads_of_image_files_end_before_a_fork():
-    """One that just begins holds a lock, for which a child that reads a file would wait for ever."""
+    """A thread that is just starting has a lock, for which a child that reads an image file would wait forever."""
     subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)

@@ -1,4 +1,4 @@
-"""Fuzzed arguments of the command line: documented exit codes, one line that says what is wrong, no traceback."""
+"""Fuzzed arguments of the command line: documented exit codes, one line of error message, no traceback."""
 
 import argparse
 import functools
@@ -16,7 +16,7 @@ from warpdiff.core import memory
 
 SMALL = ["--heightfield", "blazed", "--tolerance", "0.1", "--sigma-um", "3"]
 FRAME = ["disc.ply", *SMALL, "--width", "4", "--height", "3"]
-# Arguments that make each command quick.
+# Valid arguments with which each command runs quickly.
 COMMANDS = {
     "render": [*FRAME, "-o", "a.png"], "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
     "sequence": [*FRAME, "--count", "2", "-o", "frames"], "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
@@ -32,14 +32,14 @@ VALUES = [
 
 
 def actions(command):
-    """Arguments of a command, except those that end it at once or print tracebacks."""
+    """Return the arguments of a command, except those that end it immediately or print tracebacks."""
     parser = cli._parser([command])
     (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     return [action for action in commands.choices[command]._actions if action.dest not in ("help", "debug")]
 
 
 def written(action, draw):
-    """An option with fuzzed values."""
+    """Return the words of one option with random values."""
     count = 0 if action.nargs == 0 else action.nargs if isinstance(action.nargs, int) else 1
     return [*action.option_strings[:1], *(draw(st.sampled_from(VALUES)) for _ in range(count))]
 
@@ -49,9 +49,9 @@ def written(action, draw):
 def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
-    # Large requests are refused on every machine.
+    # With little free memory, large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # A short window takes seconds less to plan for.
+    # A short coherence window makes planning several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))
@@ -79,7 +79,7 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     def attempt(data):
         for _ in range(3):
             fuzzed = [text for action in data.draw(one_or_two) for text in written(action, data.draw)]
-            # Hypothesis draws all examples.
+            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
             if seconds_left():
                 tries.number += 1
                 end(fuzzed)

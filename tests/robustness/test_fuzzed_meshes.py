@@ -1,4 +1,4 @@
-"""Mesh files of every format that are complete and malformed: rendered, or refused by one error with their path."""
+"""Malformed mesh files of every format are rendered, or refused by one error with their path."""
 
 import os
 import re
@@ -15,15 +15,15 @@ from warpdiff.scene import mesh_import
 
 FORMATS = ("obj", "ply", "stl", "glb", "off", "gltf")
 MESHES = list(malformed_meshes())
-# A folder with others' files, such as a mesh library's own; none of them is part of this repository.
+# Folder of additional mesh files outside of this repository, such as those of a mesh library.
 MODELS = os.environ.get("WARPDIFF_MODELS")
 
 
 def render(path, **options):
-    """A small picture, or a clear error, which is returned."""
+    """Render a small picture; return an empty text, or the message of a clear error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Such as of a lost texture.
+        # Ignore the package's own warnings, such as one about a missing texture.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         try:
             image = wd.shade(path, HEIGHTFIELD, LIGHT, VIEW, plan=plan(), threads=1, **options)
@@ -37,7 +37,7 @@ def render(path, **options):
 
 
 def tangents_for(path, rng):
-    """Any, for a file without texture coordinates."""
+    """Return random tangents for a mesh file without texture coordinates."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return rng.normal(size=(sum(len(geometry.mesh.vertices) for geometry in mesh_import._geometries(path)), 3))
@@ -55,14 +55,14 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
             tries.number -= 1
             continue
         render(path)
-    # A short soak ends before it has tried them all.
+    # A short soak test may end before all meshes are tested.
     assert endurance.IS_SOAK or tries.number > len(MESHES) // 2
 
 
 @pytest.mark.permanent("malformed mesh files of every format")
-@pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS names no folder of meshes")
-def test_models_of_others_are_rendered_or_refused(tries, rng):
-    # Files that are not meshes are refused as well.
+@pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS is not set to a folder of mesh files")
+def test_additional_mesh_files_are_rendered_or_refused(tries, rng):
+    # Files that are not meshes must be refused with the same kind of message.
     for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
         if "texture coordinates" in render(path):
             render(path, tangents=tangents_for(path, rng))

@@ -1,4 +1,4 @@
-"""Fuzzed arguments, one and two at a time, of every public callable: computed, or refused by name."""
+"""Every public callable with one or two fuzzed arguments computes a result, or refuses an argument by its name."""
 
 import contextlib
 import re
@@ -19,17 +19,17 @@ from hypothesis import strategies as st
 
 import warpdiff as wd
 
-resource = pytest.importorskip("resource", reason="limits of memory are POSIX")
+resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
-# These require seconds by their nature.
+# Functions that need seconds even with valid arguments.
 SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
-# Seconds: a longer call hangs; it may compile kernels.
+# Time limit of a call in seconds, including the compilation of kernels. A longer call counts as hanging.
 MOST_S = 60
-# Bytes: more than a small call requires, so that large requests fail on every machine.
+# Memory limit of a call in bytes, above the process's memory. Small calls need less, and large requests fail.
 MOST_MORE_BYTES = 1 << 30
 
 
-# A legal argument may be refused for a property of its own.
+# Classes whose field names a message may contain, by argument: valid objects may be refused because of a field.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
     "view": "View", "direction": "View", "plan": "Plan", "self": "HeightField",
@@ -37,13 +37,13 @@ PARTS_OF = {
 
 
 def strategies_of(name):
-    """Strategies of the arguments of a public callable, ``self`` among them if it is fuzzed."""
+    """Return strategies for the arguments of a public callable, including ``self`` if it is fuzzed."""
     function, owner = PUBLIC[name]
     strategies = {option.name: fuzz.strategy(option) for option in fuzz.options_of(function)}
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})
 
 
-# Numbers of a result, by its class.
+# Functions that return the numbers in a result, by class of the result.
 NUMBERS_OF = {
     np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [], wp.array: lambda array: [array.numpy()],
     (float, np.floating): lambda number: [np.array(number)],
@@ -61,21 +61,21 @@ NUMBERS_OF = {
 
 
 def numbers_of(result):
-    """All numbers that a result contains."""
+    """Return all numbers that a result contains, as a list of arrays."""
     return next((numbers(result) for kind, numbers in NUMBERS_OF.items() if isinstance(result, kind)), [])
 
 
 @pytest.fixture(autouse=True)
 def _folder(tmp_path, monkeypatch):
-    """A folder with the files that are legal."""
+    """Change to a temporary folder with the files that valid arguments refer to."""
     monkeypatch.chdir(tmp_path)
     fuzz.write_files(tmp_path)
 
 
 @contextlib.contextmanager
 def no_hang():
-    """Within it, a call that takes too long fails the test."""
-    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"it takes more than {MOST_S} s"))
+    """Fail the test if the code in the ``with`` block exceeds the time limit."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"the call exceeds {MOST_S} s"))
     signal.alarm(MOST_S)
     try:
         yield
@@ -86,7 +86,7 @@ def no_hang():
 
 @contextlib.contextmanager
 def little_memory():
-    """Within it, memory is limited, where the system reports how much the process uses."""
+    """Limit the memory of the process in the ``with`` block, on systems that report the memory in use."""
     statm = Path("/proc/self/statm")
     if not statm.exists():
         yield
@@ -105,7 +105,7 @@ def test_everything_public_is_called():
 
 
 def check(name, fuzzed):
-    """Call it: it must compute a result of finite numbers, or refuse an argument by name."""
+    """Check that a call returns finite numbers, or raises an error that names one of its arguments."""
     message, names = "", {name.rpartition(".")[2], *strategies_of(name)}
     with warnings.catch_warnings(), little_memory(), no_hang():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -117,7 +117,7 @@ def check(name, fuzzed):
         except (ValueError, TypeError, OSError) as error:
             message = str(error)
         except (ImportError, RuntimeError):
-            # Mitsuba may not be installed or set up.
+            # ``register_mitsuba_bsdf`` may fail because Mitsuba is not installed or not set up.
             if name != "register_mitsuba_bsdf":
                 raise
         else:
@@ -136,10 +136,10 @@ def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
     @examples(*((2, 50) if name in SLOW else (10, 500)))
     @given(st.data())
     def attempt(data):
-        # Hypothesis requires more time for an example than most calls do.
+        # Three calls per example save time, because Hypothesis needs longer for an example than most calls.
         for _ in range(3):
             fuzzed = {key: data.draw(strategies[key]) for key in data.draw(one_or_two)}
-            # Hypothesis draws all examples.
+            # Hypothesis continues to draw examples after the time limit, so late examples are skipped.
             if seconds_left():
                 tries.number += 1
                 check(name, fuzzed)

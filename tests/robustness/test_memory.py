@@ -1,4 +1,4 @@
-"""Requests larger than free memory are refused before work begins, and smaller ones are not."""
+"""Requests larger than the free memory are refused before work begins. Smaller requests are not refused."""
 
 import dataclasses
 import math
@@ -107,7 +107,7 @@ else:
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="a system that does not tell what is free")
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not report free memory")
 @pytest.mark.parametrize(
     "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
 )
@@ -136,8 +136,8 @@ def test_failed_allocations_raise_the_messages_of_the_library():
         assert raised.value is error
 
 
-def test_bodies_that_do_not_fit_after_all_say_so(monkeypatch):
-    """Their bytes are known about."""
+def test_sample_meshes_that_exceed_the_memory_raise_a_clear_error(monkeypatch):
+    """If the estimate of the required memory is too small, a failed allocation raises the same clear error."""
     monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
         with pytest.raises(MemoryError, match=r"a body of this many faces requires another .* GB are free: take fewer"):
@@ -185,7 +185,7 @@ def test_wavelengths_of_very_many_periods_are_refused(monkeypatch):
       {"limit_in_bytes": 3000, "usage_in_bytes": 2500, "stat": "inactive_file 1\ntotal_inactive_file 400\n"})],
     ids=["version 2, of a group above", "version 1, in a container"],
 )  # fmt: skip
-def test_what_a_container_may_take_is_what_there_is(own, folder, files, tmp_path, monkeypatch):
+def test_the_memory_limit_of_a_container_is_the_free_memory(own, folder, files, tmp_path, monkeypatch):
     (tmp_path / "own").write_text(own)
     (tmp_path / "job" / "step").mkdir(parents=True)
     (tmp_path / "job" / "step" / "memory.max").write_text("max\n")
@@ -203,6 +203,6 @@ def test_what_a_container_may_take_is_what_there_is(own, folder, files, tmp_path
         memory._limits_of_groups.cache_clear()
 
 
-def test_systems_that_do_not_tell_have_enough(monkeypatch):
+def test_systems_that_do_not_report_memory_refuse_no_request(monkeypatch):
     monkeypatch.setattr(Path, "read_text", lambda _: "")
     assert memory.available() == math.inf

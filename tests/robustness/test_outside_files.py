@@ -1,4 +1,4 @@
-"""Files that a mesh file names outside of its own folder, or at a URL, are not opened."""
+"""Files outside of a mesh's folder, and URLs, are not opened, even if the mesh file refers to them."""
 
 import sys
 import warnings
@@ -12,9 +12,9 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 OBJ = "mtllib {}\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 MTL = "newmtl paint\nmap_Kd {}\n"
-# Nobody listens there.
+# Address on which no server runs.
 URL = "http://127.0.0.1:9/paint.png"
-# Files of a mesh's folder; {above} is the folder above it.
+# Contents of mesh folders, by file name. ``{above}`` is replaced by the path of the parent folder.
 OUTSIDE = {
     "mtllib-above": {"mesh.obj": OBJ.format("../outside.mtl")},
     "mtllib-absolute": {"mesh.obj": OBJ.format("{above}/outside.mtl")},
@@ -35,7 +35,7 @@ opened = None
 
 
 def _watch(event, arguments):
-    """Note what is opened while ``opened`` is a list; an audit hook cannot be removed."""
+    """Record opened files and network access while ``opened`` is a list. Python cannot remove audit hooks."""
     if opened is None:
         return
     if event.startswith(("socket.", "urllib.")):
@@ -49,7 +49,7 @@ sys.addaudithook(_watch)
 
 @pytest.fixture
 def folder(tmp_path):
-    """A mesh's folder; the one above it holds a library, a texture and a buffer as well."""
+    """Return the folder of a mesh. The parent folder contains a material library, a texture and a buffer."""
     (tmp_path / "outside.mtl").write_text(MTL.format("paint.png"))
     (tmp_path / "outside.bin").write_bytes(BUFFER)
     Image.new("RGB", (2, 3), (200, 30, 30)).save(tmp_path / "outside.png")
@@ -60,7 +60,7 @@ def folder(tmp_path):
 
 
 def load(folder):
-    """Read the mesh of a folder: whether it has a colour, None if it is refused; the files below the folder above."""
+    """Return whether the mesh of a folder has a colour (None if it is refused), and the files that were opened."""
     global opened  # noqa: PLW0603 (an audit hook cannot be removed)
     opened = []
     try:
@@ -72,7 +72,7 @@ def load(folder):
     finally:
         events, opened = opened, None
     names = [path for path in events if isinstance(path, str) or path.is_relative_to(folder.parent)]
-    # The hook works: it notes the mesh itself.
+    # The audit hook must have recorded the mesh file itself.
     assert any(path.stem == "mesh" for path in names if isinstance(path, Path))
     return has_colour, names
 
@@ -89,7 +89,7 @@ def test_files_in_the_folder_of_the_mesh_are_read(folder, kind):
 
 @pytest.mark.permanent("closed, full or ASCII streams, no home folder, files that a mesh references")
 @pytest.mark.parametrize("files", OUTSIDE.values(), ids=OUTSIDE)
-def test_nothing_outside_of_the_meshs_folder_is_opened(folder, files):
+def test_no_file_outside_of_the_meshs_folder_is_opened(folder, files):
     for name, text in files.items():
         (folder / name).write_text(text.replace("{above}", str(folder.parent)))
     has_colour, names = load(folder)

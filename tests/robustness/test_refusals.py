@@ -1,6 +1,6 @@
-"""Refused arguments, one by one, from Python, the command line and the viewer: each is named by the user's own word.
+"""Error messages for single invalid arguments in Python, on the command line and in the viewer.
 
-``python tests/robustness/test_refusals.py --write FILE`` writes all messages to a file, for a reader.
+``python tests/robustness/test_refusals.py --write FILE`` writes all messages to a file, so that they can be read.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """A refusal: its front end, what is requested, the user's word for the argument, and the rule that is named."""
+    """An invalid request: front end, request, the user's name of the argument, expected rule, and message."""
 
     front: str
     request: str
@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
 
 def bad_values(option: Option) -> Iterator[tuple[object, str]]:
-    """Values that an option does not accept, by its description, and what the message says of each."""
+    """Yield values that the description of an option forbids, each with a pattern of the expected message."""
     rules = re.escape(option.range) + ".* got "
     below = option.gt if option.ge is None else option.ge - 1
     outside = [value for value in (below, option.le and option.le + 1) if value not in (None, math.inf)]
@@ -87,7 +87,7 @@ def bad_values(option: Option) -> Iterator[tuple[object, str]]:
 
 @contextlib.contextmanager
 def prepared(folder: Path) -> Iterator[None]:
-    """Within it, files of legal arguments are in the working folder, and neither kernels nor servers run."""
+    """Work in a folder with the files that valid arguments refer to; kernels and servers must not start."""
 
     def work(*_: object, **__: object) -> None:
         raise AssertionError("work begins")
@@ -100,9 +100,9 @@ def prepared(folder: Path) -> Iterator[None]:
         yield
 
 
-# Python
+# Invalid arguments in Python
 
-# Objects that require kernels: their class alone is checked before the other arguments are.
+# Uninitialised objects of classes that require kernels, which suffice because only their class is checked.
 BARE = {
     **{owner: object.__new__(getattr(wd, owner)) for owner in ("Image", "BakedLobes", "BakedSpectrum")},
     "renderer": object.__new__(wd.Renderer), "lobes": object.__new__(wd.BakedLobes),
@@ -110,12 +110,12 @@ BARE = {
 
 
 def changed_plan(**fields: object) -> wd.Plan:
-    """A plan of one direction, which requires no search, with other fields."""
+    """Return a plan for one direction, which needs no search, with other values in some fields."""
     return dataclasses.replace(wd.plan(fuzz.HEIGHTFIELD, fuzz.UP, fuzz.UP), **fields)
 
 
 def python_rows() -> Iterator[Row]:
-    """Options of every public callable, but for methods of what kernels have made."""
+    """Yield rows for the options of all public callables except the methods of ``Renderer``."""
     for name, (function, owner) in fuzz.PUBLIC.items():
         if owner == "Renderer":
             continue
@@ -130,22 +130,22 @@ def python_rows() -> Iterator[Row]:
                 yield Row("python", request, option.name, rule, functools.partial(error_of, call))
 
 
-# The command line
+# Invalid arguments on the command line
 
 FILES = ["--heightfield", "a.npy", "--pitch-um", "0.1"]
 COMMANDS = {
     "render": ["disc", *FILES, "-o", "a.png"], "sequence": ["disc", *FILES, "-o", "frames"],
     "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES, "view": [], "demo": [],
 }  # fmt: skip
-# Arguments that go with a flag, instead of those of its command or with them.
+# Replaced arguments of a command, for flags that exclude its default arguments or need others.
 INSTEAD = {"extent_um": FILES[:2], "height_range_um": ["--heightfield", "integers.npy", *FILES[2:]]}
-# Functions whose options are flags of a command, before those of all.
+# Functions whose options are flags of a single command. ``OWNERS`` have the options that all commands share.
 FUNCTIONS = {"sequence": wd.sequence, "brdf": wd.reflectance_map, "export-html": wd.export_html}
 OWNERS = (SinglePictureSettings, wd.Coherence, wd.View, wd.Image.save, wd.HeightField.load, wd.bake)
 
 
 def described_flags(name: str) -> Iterator[tuple[str, str, Option]]:
-    """Stored name, flag and description of each flag of a command that has values."""
+    """Yield the stored name, flag and option of each flag of a command that has a value."""
     described = {f"environment_{key}": option for key, option in describe(wd.Environment.load).items()}
     for owner in (*OWNERS, *([FUNCTIONS[name]] if name in FUNCTIONS else [])):
         described |= {key: option for key, option in describe(owner).items() if option.kind != "object"}
@@ -158,21 +158,21 @@ def described_flags(name: str) -> Iterator[tuple[str, str, Option]]:
 
 
 def command_line_rows() -> Iterator[Row]:
-    """Flags of every command that are made from descriptions."""
+    """Yield rows for all flags of every command that are generated from option descriptions."""
     for name, arguments in COMMANDS.items():
         for key, flag, option in described_flags(name):
             more = ["--environment", "sky.exr"] if key.startswith("environment_") else []
             base = [text for text in arguments if text not in FILES] + INSTEAD[key] if key in INSTEAD else arguments
             for value, rule in bad_values(option):
                 texts = [str(part) for part in (value if isinstance(value, tuple) else [value])]
-                # The shell has no types, and the number of a flag's values is fixed.
+                # Shell arguments are texts, and each flag has a fixed number of values, so some errors cannot occur.
                 if (option.kind == "choices" and isinstance(value, str)) or len(texts) == option.length + 1 > 1:
                     continue
                 line = [name, *base, *more, flag, *texts]
                 yield Row("command line", " ".join(line), flag, rule, functools.partial(error_of_command, line))
 
 
-# Arguments of a picture, in the lines below.
+# Arguments of the pictures in the rules. ``…`` in a command line stands for ``DISC``.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
 SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
 Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
@@ -182,7 +182,7 @@ def shade(heightfield: wd.HeightField = fuzz.HEIGHTFIELD, **options: object) -> 
     return wd.shade(fuzz.MESH, heightfield, fuzz.LIGHT, fuzz.VIEW, **options)
 
 
-# Rules about two arguments, and about files: in Python, and on the command line.
+# Rules about pairs of arguments and about files: a call in Python with its message, and a command line with its own.
 RULES = [
     (lambda: wd.Coherence(centre_um=(1, 1)), "centre_um is for kind='centred', not 'averaged': remove it",
      "render … --centre-um 1 1", "--centre-um is for --coherence centred, not 'averaged': remove it"),
@@ -259,7 +259,7 @@ RULES = [
     (lambda: BARE["Image"].save("no/a.png"), "path: the folder 'no' does not exist; create it first",
      "render disc --heightfield cd -o no/a.png", "--output: the folder 'no' does not exist; create it first"),
 ]  # fmt: skip
-# Rules of the command line itself.
+# Expected messages of rules that only the command line has.
 LINES = {
     "render … --film Au 100": "--film requires --material: give both",
     "render … --material Au --film 1.5 x": "--film must be a material and a number of nanometres, got 'x'",
@@ -307,7 +307,7 @@ LINES = {
 
 
 def written_rows() -> Iterator[Row]:
-    """Rules about two arguments, files, and the names of height fields and meshes."""
+    """Yield rows for rules about two arguments, about files, and about names of height fields and meshes."""
     for call, text, line, line_text in RULES:
         yield Row("python", text, "", re.escape(text), functools.partial(error_of, call))
         yield of_line(line, line_text)
@@ -316,14 +316,14 @@ def written_rows() -> Iterator[Row]:
 
 
 def of_line(line: str, text: str) -> Row:
-    """A line of the command line with the beginning of its message, after ``.*`` a later part."""
+    """Return the row of a command line. A text that begins with ``.*`` need not be at the beginning of the message."""
     rule = re.escape(text.removeprefix(".*"))
     call = functools.partial(error_of_command, shlex.split(line.replace("…", DISC)))
     return Row("command line", line, "", f".*{rule}" if text.startswith(".*") else rule, call)
 
 
 def error_of_command(line: list[str]) -> str:
-    """The message of a command, without the command's name."""
+    """Return the error message of a command line, without the name of the command."""
     error = io.StringIO()
     with contextlib.redirect_stderr(error), contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -334,11 +334,11 @@ def error_of_command(line: list[str]) -> str:
     return text.removeprefix(f"warpdiff {line[0]}: ") if code == 2 else f"exit code {code}: {text}"
 
 
-# The viewer
+# Invalid values in the viewer
 
 
 def viewer_rows() -> Iterator[Row]:
-    """Every control, with values that its page cannot send."""
+    """Yield rows for all controls, with values that the page itself cannot send."""
     known = controls.controls(environments=["sky.exr"])
     for control in known.values():
         low, high, _ = control.slider or (0.0, 0.0, 0.0)
@@ -355,7 +355,7 @@ def viewer_rows() -> Iterator[Row]:
 
 
 def error_on_page(known: dict[str, controls.Control], values: dict[str, object]) -> str:
-    """The message of values that the page sends."""
+    """Return the error message for values sent by the viewer's page."""
     try:
         controls.checked(known, values)
     except (TypeError, ValueError) as error:
@@ -364,7 +364,7 @@ def error_on_page(known: dict[str, controls.Control], values: dict[str, object])
 
 
 def error_of(call: Callable[[], object]) -> str:
-    """The message of what a call raises."""
+    """Return the message of the error that a call raises."""
     try:
         call()
     except (TypeError, ValueError, OSError) as error:
@@ -374,7 +374,7 @@ def error_of(call: Callable[[], object]) -> str:
 
 ROWS = [*python_rows(), *command_line_rows(), *written_rows(), *viewer_rows()]
 NAMES = {option.name for function, _ in fuzz.PUBLIC.values() for option in describe(function).values()}
-# Words that only Python knows: names of arguments, and values.
+# Words that only have a meaning in Python: argument names with an underscore, and constants.
 PYTHON_ONLY = re.compile(
     rf"(?<![-\w])(?:{'|'.join(name for name in NAMES if '_' in name)}|True|False|None)(?!\w)|kind="
 )
@@ -398,7 +398,7 @@ def test_refusals_name_the_users_word(row):
     assert "\n" not in message.strip()
     assert not re.search("[\ue000-\uf8ff]", message)
     if row.front != "python":
-        # Text quoted from the user and lists of valid parameters are exempt.
+        # Texts quoted from the user and lists of valid parameters may contain words of Python.
         prose = re.sub(r"'[^']*'|but its parameters are .*", "", message)
         assert not {word for word in PYTHON_ONLY.findall(prose) if word not in row.request}
 

@@ -1,4 +1,4 @@
-"""Signals end the command line soon, with the right exit code and with nothing left behind."""
+"""Signals end the command line within a time limit, with the documented exit code and without leaving files."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import pytest
 from endurance import IS_SOAK
 
 if os.name != "posix":
-    pytest.skip("signals are POSIX", allow_module_level=True)
+    pytest.skip("these signals require POSIX", allow_module_level=True)
 
 ROW = "SIGINT, SIGTERM and SIGHUP, at many delays"
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -28,7 +28,7 @@ def _default_handlers():
 
 
 def begun(arguments, folder):
-    """A process whose caches and temporary files lie in a folder of their own."""
+    """Start a Python process with its own folders for caches and temporary files."""
     names = {"WARP_CACHE_PATH": "kernels", "WARPDIFF_CACHE_DIR": "cache", "TMPDIR": "temporary"}
     (folder / "temporary").mkdir()
     return subprocess.Popen(
@@ -44,7 +44,7 @@ def left_behind(folder):
     return [path for path in paths if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
 
 
-# While packages are imported, and while kernels are compiled.
+# Delays in seconds: some signals arrive during imports, others during the compilation of kernels.
 GRID = [
     *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
     *((0.9, "SIGTERM"), (1.3, "SIGHUP"), (2.5, "SIGTERM")),
@@ -63,14 +63,14 @@ def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
         begin = time.monotonic()
         error = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, error
-    # A compilation that has begun goes on to its end.
+    # A compilation that has started cannot be interrupted, so the command ends after it.
     assert time.monotonic() - begin < 30.0
     assert "Traceback" not in error
     assert not left_behind(tmp_path)
     assert not (tmp_path / "map.png").exists()
 
 
-# A command that swallows what is raised in it.
+# Script of a command that catches and ignores all exceptions.
 STUBBORN = """
 import sys, time
 from pathlib import Path
@@ -110,7 +110,7 @@ def test_a_second_signal_ends_a_command_that_swallows_the_first(name, tmp_path):
 
 
 def ended(code, folder):
-    """The exit code of a process that runs code, and what it said on either stream."""
+    """Return the exit code, the output and the error output of a process that runs the code."""
     with begun(["-c", code], folder) as process:
         out, error = process.communicate(timeout=60)
     return process.returncode, out, error
@@ -126,21 +126,21 @@ def test_a_signal_that_was_ignored_stays_so(tmp_path):
     assert ended(ignore + COMMAND + raises + RUN, tmp_path)[0] == 3
 
 
-def test_an_interruption_that_becomes_another_error_is_one(tmp_path):
-    """As NumPy's own import makes of it."""
+def test_an_interruption_that_is_converted_to_another_error_ends_the_command(tmp_path):
+    """NumPy's import converts an interruption to ``ImportError`` in the same way."""
     rotated = "def turned():\n    try: signal.raise_signal(15); time.sleep(60.0)\n"
     rotated += "    except BaseException: raise ImportError('could not import')\ncli.main = turned"
     code, _, error = ended(COMMAND + rotated + RUN, tmp_path)
     assert (code, error) == (143, "")
 
 
-def test_an_interruption_of_a_finalizer_is_one_and_says_nothing(tmp_path):
+def test_an_interruption_in_a_finalizer_ends_the_command_without_a_message(tmp_path):
     last = "class Last:\n    def __del__(self): signal.raise_signal(15); time.sleep(0.01)\n"
     assert ended(COMMAND + last + "cli.main = lambda: Last() and time.sleep(60.0)" + RUN, tmp_path) == (143, "", "")
 
 
-def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
-    # Module globals go after what is registered for the end.
+def test_a_signal_after_the_command_has_ended_changes_nothing(tmp_path):
+    # Python deletes module globals after the registered exit functions, so the signal arrives last.
     late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
     code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
     assert code == 0, error
@@ -148,7 +148,7 @@ def test_a_signal_after_all_is_done_changes_nothing(tmp_path):
     assert not left_behind(tmp_path)
 
 
-def test_the_library_meets_no_signals(tmp_path):
+def test_the_library_changes_no_signal_handlers(tmp_path):
     code = "import signal; before = list(map(signal.getsignal, (2, 15, 1))); from warpdiff import *\n"
     code += "reflectance(HeightField([[0.0] * 8] * 8, 0.1), [0, 0, 1], [0, 0, 1], method='direct')\n"
     code += "assert before == list(map(signal.getsignal, (2, 15, 1)))"

@@ -1,4 +1,4 @@
-"""The sample bodies: shape, seam, and which way t runs."""
+"""The sample bodies: shape, texture seam, and direction of the tangents."""
 
 import math
 
@@ -29,7 +29,7 @@ def test_disc_area():
     mesh = meshes.disc(inner_radius=0.25, outer_radius=2.0)
     assert mesh.area == pytest.approx(math.pi * (4.0 - 0.0625), rel=1e-4)
     assert len(mesh.faces) < 60_000
-    # Without a hole there are triangles in the middle, and no face without an area.
+    # A disc without a hole has triangles at its centre, and no face without area.
     full = prepare_surface(meshes.disc(inner_radius=0.0, segments=64, rings=4))
     assert len(full.faces) == 64 * (2 * 3 + 1)
 
@@ -39,13 +39,13 @@ def test_straight_tube(tangent):
     mesh = meshes.tube(radius=0.1, length=2.0, bend_deg=0.0, tangent=tangent, segments_along=96, segments_around=48)
     surface = prepare_surface(mesh)
     points = world(surface)
-    # The cylindrical part: its axis is x.
+    # Only the cylindrical part of the tube is tested; its axis is along x.
     body = (points[:, 0] > -0.7) & (points[:, 0] < 0.1)
     outward = points[body] * [0.0, 1.0, 1.0] / 0.1
     np.testing.assert_allclose(surface.normals[body], outward, atol=1e-5)
     along = np.array([1.0, 0.0, 0.0])
     expected = np.cross(along, outward) if tangent == "around" else np.broadcast_to(along, outward.shape)
-    # "around" is right-handed with the v axis, which runs along.
+    # Tangents around the tube and the v axis along the tube form a right-handed frame with the normal.
     np.testing.assert_allclose(surface.tangents[body], expected, atol=1e-3)
     np.testing.assert_array_equal(surface.handedness, 1.0)
 
@@ -54,10 +54,10 @@ def test_default_tube():
     mesh = meshes.tube()
     surface = prepare_surface(mesh)
     assert len(surface.faces) == len(mesh.faces) == 2 * 255 * 96 < 60_000
-    # Wound outwards.
+    # The faces are oriented outwards, so the volume is positive.
     volume = np.einsum("ij,ij->", mesh.triangles[:, 0], np.cross(mesh.triangles[:, 1], mesh.triangles[:, 2])) / 6.0
     assert volume > 0.0
-    # Analytic normals agree with the facets around each vertex.
+    # The analytic normals agree with the normals computed from the faces around each vertex.
     bare = type(mesh)(mesh.vertices, mesh.faces, visual=mesh.visual, process=False)
     cosine = np.sum(surface.normals * prepare_surface(bare).normals, axis=1)
     assert cosine.min() > math.cos(math.radians(3.0))
@@ -92,7 +92,7 @@ def test_bad_arguments(make, arguments, error, message):
         make(**arguments)
 
 
-def test_bodies_are_told_from_sheets():
+def test_closed_bodies_are_distinguished_from_sheets():
     closed = {name: is_closed_body(getattr(meshes, name)()) for name in ("snake", "tube", "disc")}
     assert closed == {"snake": True, "tube": True, "disc": False}
     box = trimesh.creation.box()

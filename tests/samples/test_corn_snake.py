@@ -1,4 +1,4 @@
-"""The snake: a closed surface of as many scales as asked for, its free edges, its tangent field and its pattern."""
+"""The snake: a closed surface with the requested number of scales, their free edges, tangents and colour pattern."""
 
 import math
 
@@ -22,7 +22,7 @@ def surface(snake):
 
 
 def face_normals(corners):
-    """Unit normals of triangles (m, 3, 3)."""
+    """Return the unit normals of triangles (m, 3, 3)."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
@@ -32,7 +32,7 @@ def degrees(cosine):
 
 
 def places(mesh):
-    """A number for each vertex, the same for those at one position."""
+    """Return a number for each vertex, which is equal for vertices at the same position."""
     cells = np.round(mesh.vertices / 1e-8).astype(np.int64)
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
@@ -40,7 +40,7 @@ def places(mesh):
 @pytest.mark.parametrize(
     "arguments", [SMALL, {"scale_rows": 5, "ventrals": 8, "segments": 3, "bend_deg": 0.0, "tangent": "along"}]
 )
-def test_it_is_closed_and_wound_outwards(arguments):
+def test_the_snake_is_closed_and_its_faces_are_oriented_outwards(arguments):
     mesh = meshes.snake(**arguments)
     place = places(mesh)
     edges = place[mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
@@ -48,7 +48,7 @@ def test_it_is_closed_and_wound_outwards(arguments):
     # Each edge belongs to two faces, once in either direction.
     assert len(np.unique(forward)) == len(forward)
     np.testing.assert_array_equal(np.sort(forward), np.sort(backward))
-    # Without a handle: Euler's number of a sphere.
+    # The surface has no handle: its Euler characteristic is that of a sphere.
     assert len(np.unique(place)) - len(edges) // 2 + len(mesh.faces) == 2
     corners = mesh.vertices[mesh.faces]
     assert np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0.0
@@ -61,24 +61,26 @@ def test_the_default_is_light():
     corners = mesh.vertices[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    # In float32, as kernels take them, heights of 1e-7 are lost.
+    # In float32, triangles with a height below 1e-7 would lose their area.
     assert np.min(twice_area / sides.max(axis=1)) > 5e-6
     cosine = np.einsum("ij,ikj->ik", face_normals(corners), mesh.vertex_normals[mesh.faces])
     assert np.percentile(degrees(cosine), 99.0) < 15.0
     assert cosine.min() > 0.0
 
 
-def test_faces_have_areas_and_normals_of_their_own(snake, surface):
+def test_faces_have_areas_and_normals_near_their_own(snake, surface):
     assert len(surface.faces) == len(snake.faces)
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
-    # Also at free edges, where surfaces that look in different directions meet at a position.
+    # Faces at the free edges of scales are included, where surfaces with different directions meet.
     cosine = np.einsum("ij,ikj->ik", face_normals(surface.vertices[surface.faces]), surface.normals[surface.faces])
     assert np.percentile(degrees(cosine), 99.0) < 30.0
     np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
 
 
 def test_the_seam_is_invisible(surface):
-    # Under free edges several vertices share a place and each has its twin; at the snout and the tip there are none.
+    # At the texture seam, each vertex has a twin with the same position and normal. The snout and the tip of the tail
+    # are
+    # excluded.
     left, right = (
         np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
     )
@@ -89,10 +91,11 @@ def test_the_seam_is_invisible(surface):
 
 
 @pytest.mark.parametrize("scale_rows", [7, 9])
-def test_scales_are_as_many_as_asked_for(scale_rows):
+def test_scales_have_the_requested_number(scale_rows):
     ventrals = 12
     mesh = meshes.snake(scale_rows=scale_rows, ventrals=ventrals, segments=2)
-    # Corners of scales, on the lattice of half scales: that is where vertices with one place in the texture lie apart.
+    # Corners of scales are on a lattice of half scales. There, vertices with equal texture coordinates are at different
+    # positions.
     belly, head, tail = 0.15, 16.0, 1.0
     x = (mesh.visual.uv[:, 0] - belly) / (1.0 - 2.0 * belly) * (scale_rows + 1)
     tau = mesh.visual.uv[:, 1] * (head + ventrals + tail) - head
@@ -117,7 +120,7 @@ def test_tangents_run_around_or_along(tangent):
     surface = prepare_surface(mesh)
     np.testing.assert_array_equal(surface.handedness, 1.0)
     np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
-    # The back of a straight snake is along x; what looks to the rear lies under free edges.
+    # The back of a straight snake is along x. Faces directed to the rear belong to free edges and are excluded.
     back = (surface.normals[:, 1] > 0.3) & (surface.normals[:, 0] < 0.1) & (np.abs(surface.vertices[:, 0]) < 0.6)
     along = np.array([1.0, 0.0, 0.0])
     around = np.cross(along, surface.normals[back])
@@ -133,10 +136,10 @@ def test_tangents_are_smooth_on_scales(surface):
     assert np.percentile(rotated, 95.0) < 40.0
 
 
-def test_it_does_not_meet_itself(snake):
+def test_the_snake_does_not_intersect_itself(snake):
     corners = snake.vertices[snake.faces]
     rng = np.random.default_rng(7)
-    # Segments within some faces, against all faces nearby.
+    # Line segments within some faces are tested for intersections with all faces nearby.
     weights = rng.dirichlet([2.0, 2.0, 2.0], (250, 2))
     chosen = rng.choice(len(corners), 250, replace=False)
     start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[chosen]) for k in (0, 1))
@@ -154,7 +157,7 @@ def test_it_does_not_meet_itself(snake):
     assert not np.any((before * after < 0.0) & np.all(inside, axis=0))
 
 
-def test_the_pattern_depends_on_the_seed_alone(snake):
+def test_the_pattern_depends_only_on_the_seed(snake):
     again, other = meshes.snake(**SMALL), meshes.snake(**SMALL, seed=1)
     one, two, three = (np.asarray(mesh.visual.material.image) for mesh in (snake, again, other))
     np.testing.assert_array_equal(one, two)
@@ -166,23 +169,23 @@ def test_the_pattern_depends_on_the_seed_alone(snake):
 
 def test_both_orientations_of_the_texture_paint_the_same_snake(surface):
     along = prepare_surface(meshes.snake(**SMALL, tangent="along"))
-    # Right-handed both: (u, v) becomes (v, 1 - u).
+    # Both orientations of the texture are right-handed: (u, v) becomes (v, 1 − u).
     np.testing.assert_array_equal(along.vertices, surface.vertices)
     np.testing.assert_allclose(along.uvs, surface.uvs[:, ::-1] * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
     np.testing.assert_array_equal(along.texture, surface.texture[::-1].transpose(1, 0, 2))
 
 
-def test_colours_are_where_they_belong(surface):
+def test_the_pattern_has_its_colours_at_the_right_positions(surface):
     height, width, _ = surface.texture.shape
 
     def colour(u, v):
         return surface.texture[int((1.0 - v) * height), int(u * width)]
 
-    # The eyes stand out sideways, 0.43 of the head's length behind the snout, and their middles are black.
+    # The eyes are on the sides, behind the snout by 0.43 of the head's length, and their centres are black.
     for u in (0.335, 0.665):
         assert colour(u, 0.43 * 16.0 / 57.0).max() < 0.02
         assert colour(u, 0.43 * 16.0 / 57.0 + 0.03).max() > 0.1
-    # Red or orange on the back, black or white below.
+    # The back is red or orange, and the underside is black or white.
     back, below = (np.array([colour(u, v) for v in np.linspace(0.35, 0.95, 40)]) for u in (0.5, 0.05))
     assert np.median(back[:, 0] / back[:, 2]) > 6.0
     assert np.max(below[:, 0] / below[:, 2]) < 3.0

@@ -1,4 +1,4 @@
-"""Synthetic gratings: closed forms, continuity across the seam, statistics of what is random, and bad input."""
+"""Synthetic gratings: closed forms, continuity across the seam, statistics of random ones, and invalid arguments."""
 
 from typing import Any
 
@@ -74,12 +74,12 @@ def test_bump_cell() -> None:
     up = np.nonzero(heights > 0.0)
     assert (np.ptp(up[0]) + 2) * field.pitch_um[0] == pytest.approx(1.0, abs=2.0 * field.pitch_um[0])
     assert (np.ptp(up[1]) + 2) * field.pitch_um[1] == pytest.approx(0.5, abs=2.0 * field.pitch_um[1])
-    # Volume of an elliptic paraboloid cap: half of base area times height.
+    # The volume of an elliptic paraboloid cap is half of base area times height.
     volume = heights.sum() * np.prod(field.pitch_um)
     assert volume == pytest.approx(0.5 * np.pi * 0.5 * 0.25 * 0.15, rel=0.01)
 
 
-def test_fingers_have_the_size_height_and_period_asked_for() -> None:
+def test_fingers_have_the_requested_size_height_and_period() -> None:
     field = gratings.fingers()
     assert (field.shape, field.size_um) == ((512, 512), pytest.approx((25.6, 25.6)))
     assert field.height_range_um == pytest.approx(0.3, abs=1e-15)
@@ -88,7 +88,7 @@ def test_fingers_have_the_size_height_and_period_asked_for() -> None:
     assert (period.period_um, period.direction_deg) == pytest.approx((1.1, 0.0), abs=0.05)
     other = gratings.fingers(size_um=(12.0, 20.0), pitch_um=(0.06, 0.04), period_um=0.8, length_um=2.0, height_um=1.0)
     assert (other.shape, other.height_range_um) == ((200, 500), pytest.approx(1.0))
-    # Elongated along y: neighbours along y resemble each other far longer than along x.
+    # The fingers are elongated along y, so heights are correlated much farther along y than along x.
     centred = field.heights_um - field.heights_um.mean()
     correlation = np.fft.ifft2(np.abs(np.fft.fft2(centred)) ** 2).real / (centred**2).sum()
     assert correlation[10, 0] > 0.8
@@ -117,7 +117,7 @@ SEAMLESS = {
 
 @pytest.mark.parametrize("name", SEAMLESS)
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_seam_is_like_any_other_place(name: str, axis: int) -> None:
+def test_height_differences_at_the_seam_equal_those_elsewhere(name: str, axis: int) -> None:
     heights = SEAMLESS[name]().heights_um
     steps = np.abs(heights - np.roll(heights, 1, axis)).mean(axis=1 - axis)
     assert steps[0] <= 1.5 * np.quantile(steps, 0.98) + 1e-15

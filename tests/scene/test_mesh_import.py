@@ -1,4 +1,4 @@
-"""Import of meshes: checks, normals, tangents, handedness, base colours, convexity."""
+"""Import of meshes: checks, normals, tangents, handedness, base colours and convexity."""
 
 import math
 import warnings
@@ -44,12 +44,12 @@ def test_arrays_and_units():
         assert (array.shape, array.dtype) == ((4, width), np.dtype(dtype))
     assert (surface.faces.shape, surface.faces.dtype) == ((2, 3), np.int32)
     assert np.linalg.norm(surface.vertices, axis=1).max() == pytest.approx(1.0)
-    # Far from the origin float32 alone would keep 0.008.
+    # Far from the origin, float32 positions alone would be accurate only to 0.008.
     world = surface.vertices.astype(np.float64) * surface.radius + surface.centre
     np.testing.assert_allclose(world, mesh.vertices, atol=1e-6)
 
 
-def test_a_tiny_mesh_is_as_good_as_a_large_one():
+def test_a_tiny_mesh_has_the_same_surface_as_a_large_one():
     small, large = (prepare_surface(mesh_of(SQUARE * size, uv=SQUARE[:, :2])) for size in (1e-9, 1e9))
     np.testing.assert_allclose(small.vertices, large.vertices, atol=1e-6)
     np.testing.assert_allclose(small.tangents, large.tangents, atol=1e-6)
@@ -62,10 +62,10 @@ def test_smooth_normals_of_a_sphere_across_unwelded_faces():
     np.testing.assert_allclose(surface.normals, torn.vertices, atol=6e-3)
 
 
-def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
+def test_normals_of_the_mesh_are_used_and_those_computed_by_trimesh_are_not():
     normals = np.tile(np.array([[0.6, 0.0, 0.8]]), (4, 1))
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=normals)).normals, normals, atol=1e-7)
-    # Against the winding: turned to its side.
+    # Normals that point to the wrong side of their faces are reversed.
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=-normals)).normals, normals, atol=1e-7)
     roof = np.array([[0, 0, 0], [1, 0, 1], [1, 1, 1], [1, 0, 1], [2, 0, 0], [1, 1, 1.0]])
     mesh = mesh_of(roof, [[0, 1, 2], [3, 4, 5]], uv=roof[:, :2])
@@ -76,7 +76,7 @@ def test_given_normals_are_kept_and_those_trimesh_worked_out_are_not():
 
 
 @pytest.mark.parametrize("vertex", [0, 80, 161])
-def test_a_single_normal_that_was_given_is_kept(vertex):
+def test_a_single_changed_normal_is_used(vertex):
     ball = trimesh.creation.icosphere(subdivisions=2)
     mesh = mesh_of(ball.vertices, ball.faces)
     computed = prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02)).normals
@@ -88,13 +88,13 @@ def test_a_single_normal_that_was_given_is_kept(vertex):
     np.testing.assert_allclose(prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02)).normals, expected, atol=1e-6)
 
 
-def test_a_mesh_that_changed_in_place_is_another_surface():
+def test_a_mesh_changed_in_place_has_another_surface():
     texture = Image.fromarray(np.full((4, 4, 3), 200, dtype=np.uint8))
     upwards = np.tile([[0.0, 0.0, 1.0]], (4, 1))
     visual = TextureVisuals(uv=SQUARE[:, :2].copy(), image=texture)
     mesh = trimesh.Trimesh(SQUARE.copy(), SQUARE_FACES, visual=visual, process=False, vertex_normals=upwards)
     first = prepare_surface(mesh)
-    # Past what trimesh itself would notice.
+    # The vertices are changed in a way that trimesh's own tracking of changes does not notice.
     np.asarray(mesh.vertices).view(np.ndarray)[0] += 0.1
     moved = prepare_surface(mesh)
     assert not np.array_equal(moved.vertices, first.vertices)
@@ -105,7 +105,7 @@ def test_a_mesh_that_changed_in_place_is_another_surface():
     assert not np.array_equal(prepare_surface(mesh).normals, painted.normals)
 
 
-def test_one_tangent_is_for_all_vertices():
+def test_a_single_tangent_applies_to_all_vertices():
     mesh = square()
     one = prepare_surface(mesh, tangents=(0.0, 1.0, 3.0))
     many = prepare_surface(mesh, tangents=np.tile([0.0, 1.0, 3.0], (len(mesh.vertices), 1)))
@@ -113,8 +113,8 @@ def test_one_tangent_is_for_all_vertices():
     np.testing.assert_allclose(one.tangents, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-6)
 
 
-def test_given_normals_keep_their_side_under_an_overhang():
-    # Two larger corners look down where one looks up.
+def test_normals_stay_on_the_side_of_their_faces_under_an_overhang():
+    # At a shared position, two larger corners face down and one faces up.
     x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
     corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
@@ -138,7 +138,7 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
         facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facets /= np.linalg.norm(facets, axis=1, keepdims=True)
         np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(facets[:, None], 3, axis=1), atol=1e-3)
-    # Other meshes with such triangles are smooth, and so is a mesh with other vertex normals.
+    # Separate triangles that are not from an STL file are smooth, as are meshes with other vertex normals.
     loose = trimesh.Trimesh(opened.vertices, opened.faces, process=False)
     np.testing.assert_allclose(prepare_surface(loose, tangents=tangents).normals, loose.vertices, atol=2e-2)
     opened.vertex_normals = loose.vertices
@@ -162,13 +162,13 @@ def test_messages_name_the_geometry_that_is_meant():
         prepare_surface(trimesh.Scene({"lid": lid}))
 
 
-def test_two_sided_sheets_keep_normals():
+def test_two_sided_sheets_have_normals():
     both = mesh_of(faces=np.concatenate([SQUARE_FACES, SQUARE_FACES[:, ::-1] + 4]), vertices=np.tile(SQUARE, (2, 1)))
     surface = prepare_surface(both, tangents=along_x(both))
     np.testing.assert_array_equal(surface.normals[:, 2], [1, 1, 1, 1, -1, -1, -1, -1])
 
 
-def test_u_is_the_tangent_and_mirroring_is_seen():
+def test_tangents_follow_u_and_mirrored_textures_are_detected():
     surface = prepare_surface(square())
     np.testing.assert_allclose(surface.tangents, along_x(square()), atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, 1.0)
@@ -181,7 +181,7 @@ def test_u_is_the_tangent_and_mirroring_is_seen():
 
 
 def test_a_fold_of_the_texture_splits_its_vertices():
-    # Two squares side by side, the second one's texture mirrored about the edge they share.
+    # Two adjacent squares share an edge, about which the second texture is mirrored.
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0.0]])
     faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
     uv = np.array([[0, 0], [1, 0], [0, 0], [0, 1], [1, 1], [0, 1.0]])
@@ -194,7 +194,7 @@ def test_a_fold_of_the_texture_splits_its_vertices():
 
 
 @pytest.mark.parametrize(("angle_deg", "joined"), [(20.0, True), (45.0, False)])
-def test_seams_join_where_the_direction_goes_on(angle_deg, joined):
+def test_tangents_are_joined_across_seams_of_nearly_equal_direction(angle_deg, joined):
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0.0]])
     faces = np.concatenate([SQUARE_FACES, SQUARE_FACES + 4])
     a = math.radians(angle_deg)
@@ -206,8 +206,8 @@ def test_seams_join_where_the_direction_goes_on(angle_deg, joined):
     assert np.degrees(np.arccos(np.clip(tangents[0] @ tangents[5], -1, 1))) == pytest.approx(angle_deg, abs=0.1)
 
 
-def test_of_many_tangents_at_one_position_those_that_agree_are_joined():
-    # Triangles around a point, each with vertices and a direction of its own, some mirrored.
+def test_similar_tangents_at_one_position_are_joined():
+    # Triangles around a point have separate vertices and texture directions, and some textures are mirrored.
     rng = np.random.default_rng(3)
     count = 40
     turn = 2.0 * math.pi * np.arange(count) / count
@@ -227,7 +227,7 @@ def test_of_many_tangents_at_one_position_those_that_agree_are_joined():
     np.testing.assert_allclose(surface.tangents[::3, :2], expected, atol=1e-6)
 
 
-def test_given_tangents_win_and_are_made_tangential():
+def test_explicit_tangents_are_used_and_made_tangential():
     mesh = square()
     surface = prepare_surface(mesh, tangents=[[0, 7.0, 5.0]] * 4)
     np.testing.assert_allclose(surface.tangents, np.tile([[0, 1, 0]], (4, 1)), atol=1e-7)
@@ -243,7 +243,7 @@ def test_zero_tangents_are_filled_from_neighbours():
 
 
 def test_degenerate_texture_triangles_are_skipped():
-    # Two faces of the strip have no area in the texture; their neighbours' direction goes on.
+    # Two faces of the strip have no area in the texture, so their tangents come from neighbouring faces.
     vertices = np.concatenate([SQUARE, [[2, 0, 0], [2, 1, 0]]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
     uv = np.concatenate([SQUARE[:, :2], [[1, 0.5], [1, 0.7]]])
@@ -272,7 +272,7 @@ def test_no_colour():
 def test_plain_colours():
     for material, expected in [
         (SimpleMaterial(diffuse=[255, 51, 0, 255]), (1.0, decode(0.2), 0.0)),
-        # glTF's factors are linear.
+        # The colour factors of glTF are linear.
         (PBRMaterial(baseColorFactor=[255, 51, 0, 255]), (1.0, 0.2, 0.0)),
     ]:
         surface = prepare_surface(square(material=material))
@@ -318,7 +318,7 @@ def test_scenes_are_joined_with_their_transforms():
     world = surface.vertices * surface.radius + surface.centre
     np.testing.assert_allclose(world[4:, 0], -SQUARE[:, 0], atol=1e-6)
     np.testing.assert_allclose(world[4:, 2], 3.0, atol=1e-6)
-    # A mirror turns the winding over; the normals follow, and the texture is seen mirrored.
+    # A mirroring transform reverses the vertex order. Normals are corrected, and the texture is marked as mirrored.
     np.testing.assert_allclose(surface.normals[:, 2], 1.0, atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 4 + [-1] * 4)
     assert surface.texture.shape == (4, 4, 3)
@@ -336,12 +336,12 @@ def test_scenes_with_two_textures_are_refused():
 
 
 def folded(mesh):
-    """The mesh without its normals, its texture mirrored about a line along it."""
+    """Return the mesh without its normals, with its texture mirrored about a line along the mesh."""
     uv = np.array(mesh.visual.uv)
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
 
-# 25 faces around: with 24, tangents at a tip would lie exactly at the 30° within which they are joined.
+# The tube has 25 faces around. With 24, tangents at a tip would differ by exactly 30°, the limit for joining them.
 @pytest.mark.parametrize(
     "mesh",
     [meshes.tube(segments_along=40, segments_around=25), folded(meshes.tube(segments_along=40, segments_around=25)),
@@ -356,7 +356,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     after = prepare_surface(moved)
     world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
     np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
-    # Positions in float32 turn an edge by this much.
+    # Rounding positions to float32 rotates the edges of faces by about 5e-5.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
     for name in ("faces", "handedness", "uvs", "is_convex"):
@@ -380,10 +380,10 @@ def test_files(tmp_path, fuze_path):
 
 
 def nearly_convex(fault):
-    """A body that only few of its faces tell from a convex one."""
+    """Return a mesh that is convex except for a few faces."""
     if fault == "flipped":
         box = trimesh.creation.box().subdivide().subdivide()
-        # Within a side, where its neighbours lie in its plane.
+        # One face within a side of the box is flipped, where all neighbours are in the same plane.
         within = np.flatnonzero(np.all(np.count_nonzero(np.abs(box.triangles) == 0.5, axis=2) == 1, axis=1))
         faces = np.array(box.faces)
         faces[within[1]] = faces[within[1], ::-1]

@@ -1,4 +1,4 @@
-"""Colour tables against the float64 reference, closed forms and sampled integration."""
+"""Colour tables, compared with the float64 reference, closed forms and sampled integration."""
 
 import dataclasses
 import itertools
@@ -19,12 +19,12 @@ from warpdiff.tables import colour_curves, colour_table
 from warpdiff.tables.lookup import ColourLookup
 from warpdiff.tables.mip_layout import MipLayout
 
-# Orders of a patch of 12.8 µm overlap under it, so that a colour is made of many.
+# Short coherence: the orders of a 12.8 µm patch overlap, so that each colour is a sum of many orders.
 SHORT = wd.Coherence(sigma_um=3.25)
 
 
 def truth(heightfield, lights, views, coherence):
-    """XYZ by the float64 reference."""
+    """Return XYZ computed by the float64 reference."""
     scattering_vectors = -lights - views
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return gains[:, None] * reference.colours(heightfield, scattering_vectors, lights, coherence, tolerance=1e-4)
@@ -56,13 +56,13 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The colour curves have kinks, which splines meet to first order or better.
+    # The colour curves have kinks, so splines converge with first order.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
 
 @pytest.mark.parametrize("nodes", [4, 5, 7])
-def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
+def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
     exact = wd.reflectance(fingers, lights, views, plan=plan)
@@ -76,16 +76,16 @@ def test_the_smallest_tables_hold_the_colours_coarsely(fingers, nodes, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # some neighbours
-        ((64, 64), (9.0, 9.0), 2.5),  # rows and columns of more than one vector's
-        ((5, 3), (2.0, 1.6), 2.0),  # a small patch, whose coefficients come round
+        ((40, 44), (6.0, 5.0), 22.0),  # test case: a moderate number of neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # test case: more rows and columns than a SIMD vector has elements
+        ((5, 3), (2.0, 1.6), 2.0),  # test case: a small patch with periodic coefficients
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
     ids=str,
 )
-def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum at random octaves against all coefficients in float64, near and far ones."""
+def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
+    """Samples of the spectrum at random radii equal sums over all coefficients in float64."""
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
     rows = rng.normal(size=(*counts, parts, lanes)).astype(np.float32)
@@ -131,7 +131,7 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # Neighbours with a weight below exp(-20) are excluded.
+    # The kernel ignores neighbours with a weight below exp(−20).
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -140,10 +140,10 @@ def test_rays_are_sums_of_gaussians_under_splines(powers, counts, lengths, fallo
     ("nodes", "w_basis_size", "reach"),
     [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
 )
-def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, reach, octaves, rng):
-    """Against the same in float64: coefficients of splines, sums over them, and darkness where the spectrum ends.
+def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
+    """Spline coefficients, sums over them, and the dark end of the spectrum equal the same in float64.
 
-    Without rows beyond the last colour's, the start of the spline filter at its dark end shows, too.
+    With a reach of 0 there are no rows beyond the last colour, so the start of the spline filter matters, too.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -151,7 +151,7 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, reach,
     rows = rng.normal(size=(sum(rays) * nodes, lanes)).astype(np.float32)
     starts = nodes * (np.cumsum(rays) - rays)
     if octaves == 2:
-        # Behind the last octave lies another's memory.
+        # The memory behind the last octave belongs to other data and must not be read, so it is NaN.
         rows[starts[2] :] = np.nan
     matrices = rng.normal(size=(taps, terms, w_basis_size)).astype(np.float32)
     weights = rng.normal(size=(taps, 3)).astype(np.float32)
@@ -189,7 +189,7 @@ def test_colours_are_sums_over_the_spectrums_splines(nodes, w_basis_size, reach,
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
-    """Look-ups against the same sums in float64, where octaves meet and a turn ends, too."""
+    """Look-ups equal the same sums in float64, also at the limits of octaves and at an azimuth of 0."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
@@ -240,20 +240,20 @@ def test_a_mirror_has_its_colour():
 
 @pytest.mark.parametrize("nodes", [8, 24, 64])
 @pytest.mark.parametrize("illuminant", ["D65", "A", "E"])
-def test_weights_hold_white_and_a_slope(nodes, illuminant):
+def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     weights = colour_curves.colour_weights(nodes, IlluminatedMaterial(illuminant))
     step = np.log(2.0) / nodes
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # A spectrum that is linear in ln λ: its integral under each spline is its value at the spline's node.
+    # For a spectrum that is linear in ln λ, the integral under each spline equals the value at its node.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)
 
 
-def test_functions_of_w_serve_all_terms():
-    """Functions of w, which colours share, reproduce each term in κ = w/λ at every quadrature node of a colour."""
+def test_basis_functions_of_w_reproduce_all_terms():
+    """Basis functions of w, shared by all colours, reproduce each term in κ = w/λ at every quadrature node."""
     kappas = (0.5, 5.0)
 
     def basis_at(at):
@@ -312,7 +312,7 @@ def test_a_table_that_cannot_meet_its_tolerance_is_refused(fingers, rng):
      ("power", wd.Coherence("centred"))],
     ids=str,
 )  # fmt: skip
-def test_forms_without_a_table_say_so(fingers, method, coherence):
+def test_coherences_and_methods_without_a_table_are_refused(fingers, method, coherence):
     up = (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=f"method='{method}' .*: use (one of|integration=)"):
         wd.reflectance(fingers, up, up, method=method, integration="table", coherence=coherence)
@@ -329,7 +329,7 @@ def test_one_dimensional_surfaces(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
-    # A window that spans some periods: tables grow with its square.
+    # The window covers only a few periods, because the size of a table grows with its square.
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)

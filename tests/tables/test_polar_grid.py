@@ -1,4 +1,4 @@
-"""Polar grids, and the zeroth order that tables on them exclude."""
+"""Polar grids, and the zeroth order, which tables on these grids exclude."""
 
 import dataclasses
 import math
@@ -36,7 +36,7 @@ def test_baked_lobes_end_one_ring_beyond_two():
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_rows_of_levels_follow_each_other(coherence):
-    """All levels have the rings of level 0, no more azimuths than it, and space for those beyond a turn."""
+    """All mip levels have the rings of level 0, at most its number of azimuths, and space for periodic azimuths."""
     plan = wd.plan(wd.HeightField(np.zeros((8, 8)), 0.09), coherence=coherence, method="low-rank")
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
     layout = MipLayout.for_plan(plan, 4.0).with_mip_levels()
@@ -54,7 +54,7 @@ def test_rows_of_levels_follow_each_other(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """From the coefficient of a colour table, and from how often heights occur, as baked lobes have it."""
+    """The zeroth order of a colour table equals that of baked lobes, which use a histogram of heights."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
@@ -66,8 +66,8 @@ def test_two_computations_of_the_zeroth_order_agree(coherence):
     assert source.zeroth.lobe_variance(0.5) == counted.lobe_variance(0.5)
 
 
-def test_lobes_are_as_wide_as_the_coherence_makes_them():
-    """|(u, v)|²/2σ² of exp(−4π²σ²|q|²), q = (u, v)/λ; a source has the same at all wavelengths."""
+def test_the_lobe_variance_follows_from_the_coherence():
+    """A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. The lobe of a source does not depend on λ."""
     power = np.ones(2, dtype=np.float32)
     averaged, source = (
         ZerothOrder(power, 0.0, 1.0, coherence) for coherence in (wd.Coherence(sigma_um=3.0), wd.Coherence("source"))

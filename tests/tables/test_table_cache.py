@@ -1,4 +1,4 @@
-"""Cache of tables: its bytes, its keys, and what a table with mip levels serves."""
+"""Cache of tables: its size in bytes, its keys, and tables with and without mip levels."""
 
 import ast
 import dataclasses
@@ -25,7 +25,7 @@ COHERENCES = [
 
 @pytest.fixture
 def heightfield():
-    """One that nothing is cached for."""
+    """Return a height field for which no table is cached."""
     return wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=7)
 
 
@@ -44,8 +44,8 @@ def arrays_of(struct):
 
 
 @pytest.mark.parametrize("coherence", COHERENCES, ids=str)
-def test_bytes_in_the_cache_are_those_of_its_distinct_arrays(heightfield, coherence):
-    """Rows have space for mip levels from the beginning, which counts once levels fill it."""
+def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
+    """Space for mip levels is allocated from the beginning. It counts only after the levels are computed."""
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
     requests = [(plan, D65), (blurred, D65), (plan, A), (plan, D65), (blurred, A)]
@@ -56,7 +56,7 @@ def test_bytes_in_the_cache_are_those_of_its_distinct_arrays(heightfield, cohere
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # Look-ups of amplitudes are not blurred.
+        # Tables of amplitudes have no blurred levels.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())
@@ -64,7 +64,7 @@ def test_bytes_in_the_cache_are_those_of_its_distinct_arrays(heightfield, cohere
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """Whether another call had the levels made does not show in results."""
+    """Results do not depend on whether another call has added mip levels to the table."""
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
@@ -81,7 +81,7 @@ def test_a_table_without_levels_stays_without_them(heightfield):
 
 
 def test_keys_are_values(heightfield):
-    """An equal plan finds the same table, whatever object it is."""
+    """Equal plans share a table, even if they are different objects."""
     plan = plan_of(heightfield, COHERENCES[0])
     first = table(heightfield, plan)
     again = table(heightfield, dataclasses.replace(plan), IlluminatedMaterial("D65"))
@@ -94,7 +94,7 @@ def test_keys_are_values(heightfield):
 
 
 def test_no_key_is_made_of_an_identity_or_a_text():
-    """A call of ``id`` may name an object that is gone; texts hide what they were made of."""
+    """Keys must be values: ``id`` may repeat after an object is deleted, and different objects may have equal texts."""
     for package, names in {"tables": {"id", "str", "repr", "hash"}, "baked": {"id", "repr", "hash"}}.items():
         for path in sorted((PACKAGE / package).glob("*.py")):
             calls = [

@@ -1,6 +1,6 @@
-"""The BSDF plug-in for Mitsuba 3 against ``wd.brdf``, efficiencies of orders, and Mitsuba's own chi-square test.
+"""The BSDF plug-in for Mitsuba 3, compared with ``wd.brdf``, order efficiencies, and Mitsuba's chi-square test.
 
-`make test-mitsuba` installs what it needs. Variants that compile need LLVM, 17 or newer; older ones end the process.
+``make test-mitsuba`` installs the requirements. Compiled variants need LLVM 17 or newer, because older versions crash.
 """
 
 import glob
@@ -15,10 +15,10 @@ import warpdiff as wd
 
 
 def _llvm():
-    """A library of LLVM that is new enough."""
+    """Return the path of an LLVM library of version 17 or newer, or None."""
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    found = [named] if named else glob.glob("/usr/lib/*/libLLVM*.so*")  # noqa: PTH207
-    versions = {path: max(map(int, re.findall(r"\d+", os.path.basename(path))), default=0) for path in found}  # noqa: PTH119
+    result = [named] if named else glob.glob("/usr/lib/*/libLLVM*.so*")  # noqa: PTH207
+    versions = {path: max(map(int, re.findall(r"\d+", os.path.basename(path))), default=0) for path in result}  # noqa: PTH119
     new = {path: version for path, version in versions.items() if version >= 17}
     return named or max(new, key=new.get, default=None)
 
@@ -58,7 +58,7 @@ def bsdf_of(path, variant, **options):
 
 
 def interaction(count=None, to_light=LIGHT):
-    """A point that sees a direction, with four wavelengths."""
+    """Return a surface interaction with the given direction to the light and four wavelengths."""
     si = mi.SurfaceInteraction3f() if count is None else dr.zeros(mi.SurfaceInteraction3f, count)
     si.wi = mi.Vector3f(*map(float, to_light))
     if mi.is_spectral:
@@ -69,18 +69,18 @@ def interaction(count=None, to_light=LIGHT):
 def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     bsdf = bsdf_of(spectrum_file, "scalar_spectral", masking=False)
     views = hemisphere(np.random.default_rng(3), 60, lowest=0.1)
-    # Around the mirror direction, too.
+    # A third of the view directions are near the mirror direction.
     views[:20] = LIGHT * [-1.0, -1.0, 1.0] + np.random.default_rng(4).normal(0.0, 0.02, (20, 3))
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     exact = wd.brdf(fingers, LIGHT, views, WAVELENGTHS, coherence=WINDOW, tolerance=3e-3) * views[:, 2:]
     context, si = mi.BSDFContext(), interaction()
-    found = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
-    relative = np.abs(found - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
-    # Cells of a quarter of a lobe's deviation.
+    result = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
+    relative = np.abs(result - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
+    # The cells of the baked spectrum are a quarter of the lobe's standard deviation wide, which limits its accuracy.
     assert np.percentile(relative, 95.0) < 0.05
 
 
-def test_samples_are_worth_their_value_over_their_density(spectrum_file):
+def test_sample_weights_are_values_divided_by_densities(spectrum_file):
     bsdf = bsdf_of(spectrum_file, "scalar_spectral")
     rng, context, si, drawn = np.random.default_rng(6), mi.BSDFContext(), interaction(), 0
     for _ in range(60):
@@ -93,14 +93,14 @@ def test_samples_are_worth_their_value_over_their_density(spectrum_file):
     assert drawn > 20
 
 
-def test_nothing_is_seen_below_the_horizon(spectrum_file):
+def test_values_below_the_horizon_are_zero(spectrum_file):
     bsdf = bsdf_of(spectrum_file, "scalar_spectral")
     below = mi.Vector3f(0.1, 0.2, -0.9)
     assert not np.any(np.array(bsdf.eval(mi.BSDFContext(), interaction(), below)))
     assert bsdf.pdf(mi.BSDFContext(), interaction(to_light=[0.1, 0.1, -0.9]), mi.Vector3f(*map(float, LIGHT))) == 0.0
 
 
-def test_colours_are_those_of_baked_lobes(lobes_file):
+def test_colours_equal_those_of_baked_lobes(lobes_file):
     bsdf = bsdf_of(lobes_file, "scalar_rgb", ior=1.5)
     views = hemisphere(np.random.default_rng(8), 200, lowest=0.1)
     baked = wd.BakedLobes.load(lobes_file)
@@ -110,20 +110,22 @@ def test_colours_are_those_of_baked_lobes(lobes_file):
         [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
     )
     exact = exact @ to_rgb.T * views[:, 2:]
-    found = np.array([np.array(bsdf.eval(mi.BSDFContext(), interaction(), mi.Vector3f(*map(float, v)))) for v in views])
+    result = np.array(
+        [np.array(bsdf.eval(mi.BSDFContext(), interaction(), mi.Vector3f(*map(float, v)))) for v in views]
+    )
     size = np.linalg.norm(exact, axis=1)
-    relative = np.linalg.norm(found - exact, axis=1) / np.maximum(size, 1e-2 * np.percentile(size, 95.0))
+    relative = np.linalg.norm(result - exact, axis=1) / np.maximum(size, 1e-2 * np.percentile(size, 95.0))
     assert np.median(relative) < 0.02
     assert np.percentile(relative, 90.0) < 0.1
 
 
 def chi_square(bsdf):
-    """Mitsuba's test of ``sample`` against ``pdf``, on nodes close enough for lobes of some degrees."""
+    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``, with a resolution for lobes of a few degrees."""
 
     def sample(numbers):
         count = dr.width(numbers)
-        found, _ = bsdf.sample(mi.BSDFContext(), interaction(count), numbers.x, mi.Point2f(numbers.y, numbers.z))
-        return found.wo, dr.select(found.pdf > 0.0, 1.0, 0.0)
+        result, _ = bsdf.sample(mi.BSDFContext(), interaction(count), numbers.x, mi.Point2f(numbers.y, numbers.z))
+        return result.wo, dr.select(result.pdf > 0.0, 1.0, 0.0)
 
     test = mi.chi2.ChiSquareTest(
         domain=mi.chi2.SphericalDomain(), sample_func=sample,
@@ -144,8 +146,8 @@ def test_samples_follow_their_density(variant, request, tmp_path, monkeypatch):
 
 @needs_llvm
 @pytest.mark.parametrize("degrees", [0.0, 30.0])
-def test_a_furnace_gives_back_what_the_orders_carry(fingers, spectrum_file, degrees):
-    """The mean of samples' weights is the sum of the orders' efficiencies but for what the horizon cuts off."""
+def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectrum_file, degrees):
+    """The mean sample weight equals the sum of the order efficiencies, except for orders cut off by the horizon."""
     bsdf = bsdf_of(spectrum_file, "llvm_ad_spectral", masking=False)
     angle, count = np.radians(degrees), 1_000_000
     to_light = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
@@ -153,13 +155,13 @@ def test_a_furnace_gives_back_what_the_orders_carry(fingers, spectrum_file, degr
     sampler.seed(1, count)
     _, weights = bsdf.sample(mi.BSDFContext(), interaction(count, to_light), sampler.next_1d(), sampler.next_2d())
     weights = np.array(weights).reshape(4, count)
-    found, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
+    result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # Orders within a lobe's width of the horizon, whose efficiency diverges there, are those that it cuts.
+    # Orders within the lobe's width of the horizon are excluded: the horizon cuts them, and their efficiency diverges.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
-    assert np.all(found > least - 4.0 * noise - 0.01 * least)
-    assert np.all(found < orders.efficiencies.sum(axis=1) + 4.0 * noise + 0.02 * least)
+    assert np.all(result > least - 4.0 * noise - 0.01 * least)
+    assert np.all(result < orders.efficiencies.sum(axis=1) + 4.0 * noise + 0.02 * least)
 
 
 def test_files_of_the_other_kind_are_refused(spectrum_file, lobes_file, fingers, tmp_path):

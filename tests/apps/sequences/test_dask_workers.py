@@ -1,4 +1,4 @@
-"""Frames by workers of Dask are those that are drawn here, also where workers are killed; ``make test-dask``."""
+"""Frames rendered by Dask workers equal local frames, even if workers are killed; run by ``make test-dask``."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ import pytest
 
 import warpdiff as wd
 
-distributed = pytest.importorskip("distributed", reason="make test-dask installs it")
+distributed = pytest.importorskip("distributed", reason="make test-dask installs Dask")
 
 pytestmark = [pytest.mark.dask, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 LIGHT = wd.DirectionalLight((0.3, 1.0, 0.4))
@@ -29,7 +29,7 @@ def expected(renderer, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("workers", "killed"), [(1, 0), (2, 0), (2, 1), (1, 1)])
-def test_frames_are_those_drawn_here(renderer, expected, tmp_path, workers, killed):
+def test_frames_equal_those_rendered_locally(renderer, expected, tmp_path, workers, killed):
     options = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         left = list(client.run(os.getpid).values())[:killed]

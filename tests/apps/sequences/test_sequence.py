@@ -1,4 +1,4 @@
-"""Sequences: shots lie where they should, frames are the renderer's, and what was interrupted goes on."""
+"""Sequences: positions of cameras and lights, frames equal to those of the renderer, and resumption."""
 
 import dataclasses
 import json
@@ -6,7 +6,7 @@ import math
 import pickle
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from PIL import Image
 
@@ -38,16 +38,17 @@ def test_a_turntable_turns_once_about_the_target():
     np.testing.assert_allclose(np.linalg.norm(eyes, axis=1), np.linalg.norm(eyes[0]))
     np.testing.assert_allclose(eyes.sum(axis=0)[[0, 2]], 0.0, atol=1e-9)
     np.testing.assert_allclose(eyes[:, 1], 2.0)
-    # The light keeps its place to the camera, which goes clockwise, as the body turns counter-clockwise.
+    # Lights keep their position relative to the camera, which moves clockwise: the mesh appears to turn
+    # counter-clockwise.
     towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(np.sum(towards * eyes, axis=1), towards[0] @ eyes[0])
     before, after = eyes[0, [0, 2]], eyes[1, [0, 2]]
     assert before[1] * after[0] - before[0] * after[1] < 0.0
     around = wd.turntable(LIGHT, VIEW, count=8, turns=-0.5, lights_follow=False)
     assert {each.lights for each in around} == {(LIGHT,)}
-    # Half of a half turn, counter-clockwise as seen from above.
+    # At this frame the camera has rotated by a quarter turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
-    # A camera that frames a body, here about one of its ends, holds it in all frames.
+    # A camera fitted for a turntable shows the whole mesh in all frames, here around one of its ends.
     body = wd.meshes.tube()
     for shot in wd.turntable(
         LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30, turning=True), count=7
@@ -59,7 +60,7 @@ def test_a_turntable_turns_once_about_the_target():
         assert np.abs(rays @ frame.up / depth).max() < frame.half_height
 
 
-def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
+def test_a_sweep_moves_from_one_direction_to_the_other_at_constant_speed():
     shots = wd.light_sweep(LIGHT, VIEW, (-1.0, 0.2, 0.3), count=7)
     towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(towards[0], LIGHT.to_light)
@@ -72,32 +73,32 @@ def test_a_sweep_goes_from_one_light_to_the_other_at_a_constant_pace():
 def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     lamp, sky = wd.PointLight((0.1, 2.0, 0.0), power=3.0), wd.Environment.clear_sky((1.0, 1.0, 0.0))
     disc = dataclasses.replace(LIGHT, angular_diameter_deg=3.0)
-    # A quarter of a circle around the target, at the distance that it begins with.
+    # The point light moves along a quarter circle around the target, at its initial distance.
     shots = wd.light_sweep([lamp, disc], VIEW, (0.0, 0.0, 5.0), count=3)
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # About +x, as the first light.
+    # The direction to the disc light rotates about +x, like the position of the point light.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
     assert {each.view for each in shots} == {VIEW}
     turning = wd.light_sweep([sky, disc], VIEW, turns=0.5, count=2)
     assert turning[0].lights == (sky, disc)
-    # A quarter turn, counter-clockwise from above, takes +x to −z.
+    # A quarter turn of the lights, counter-clockwise from above, maps +x to −z.
     expected = wd.Environment.clear_sky((0.0, 1.0, -1.0))
     assert turning[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
     np.testing.assert_allclose(turning[1].lights[1].to_light, (z, y, -x))
-    # Seen from a camera that is upside down, it turns the other way.
+    # For an upside-down camera, lights rotate in the opposite direction.
     below = wd.light_sweep(sky, dataclasses.replace(VIEW, up=(0.0, -1.0, 0.0)), turns=-0.5, count=2)
     assert below[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
 
 
 class Spotlight(wd.PointLight):
-    """A light of a kind of its own, which may have an axis."""
+    """A user-defined kind of light, which may have an axis."""
 
 
-def test_lights_that_cannot_move_are_refused_and_may_stay():
+def test_lights_that_cannot_be_rotated_are_refused():
     spotlight, tilted = Spotlight((0.0, 3.0, 0.0)), dataclasses.replace(VIEW, up=(0.1, 1.0, 0.0))
     sky = wd.Environment(np.ones((2, 4, 3)))
     for make, message in (
@@ -139,11 +140,11 @@ def test_a_path_is_read_from_a_file(tmp_path):
             wd.camera_path(path, LIGHT, VIEW)
 
 
-def test_frames_under_every_kind_of_light_are_those_of_shade(tmp_path):
-    """Also where a worker draws them, and without the arrays of any frame's sky staying with its shot."""
+def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
+    """Frames under all lights equal those of ``shade``, also from a worker. Shots do not store the arrays of skies."""
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
-    # About as bright as the sky.
+    # The power of the disc light makes it about as bright as the sky.
     disc = wd.DirectionalLight((0.3, 1.0, 0.4), angular_diameter_deg=3.0, power=300.0)
     lights = [sky, wd.PointLight((0.0, 3.0, 1.0), power=3e3), disc]
     view = wd.View.fit(body, width=16, height=12)
@@ -162,7 +163,7 @@ def test_frames_under_every_kind_of_light_are_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # The image of a sky counts, and its rotation to the bit.
+    # A sky with another image or a minimally different rotation belongs to another sequence.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):
@@ -170,12 +171,12 @@ def test_frames_under_every_kind_of_light_are_those_of_shade(tmp_path):
             wd.sequence(renderer, [wd.Shot((other, *lights[1:]), view)] * 2, tmp_path / "sweep", formats=[".exr"])
 
 
-def test_frames_are_the_renderer_s_at_one_exposure(renderer, tmp_path):
+def test_frames_equal_those_of_the_renderer_at_one_exposure(renderer, tmp_path):
     shots = wd.turntable(LIGHT, VIEW, count=5)
     shares = []
     paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    # Within frames, too; a whole one is there.
+    # Progress is reported within frames and after each complete frame.
     assert shares == sorted(shares)
     assert len(shares) > 6
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -194,7 +195,7 @@ def test_frames_are_the_renderer_s_at_one_exposure(renderer, tmp_path):
     assert min(factors) <= exposure <= max(factors)
 
 
-def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_path, monkeypatch):
+def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(renderer, tmp_path, monkeypatch):
     shots = wd.turntable(LIGHT, VIEW, count=6)
     whole = [path.read_bytes() for path in wd.sequence(renderer, shots, tmp_path / "whole")]
 
@@ -206,7 +207,7 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # One was cut off by a full disk elsewhere, one is of another size.
+    # One of the stored frames is truncated, and another has a wrong picture size. Both must be rendered again.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
@@ -217,8 +218,8 @@ def test_what_was_interrupted_goes_on_and_nothing_is_drawn_twice(renderer, tmp_p
         return draw(self, lights, view, **options)
 
     monkeypatch.setattr(wd.Renderer, "draw", recorded)
-    # A renderer like it in another process.
-    paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (our own)
+    # The sequence is resumed with an equal renderer, as another process would create it.
+    paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (pickled in this line)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole
     assert {path.name for path in folder.iterdir()} == {"sequence.json", *(path.name for path in paths)}
@@ -261,7 +262,7 @@ def test_an_animated_file_shows_every_frame(renderer, tmp_path, suffix):
         assert film.info["loop"] == 0
         for index in range(4):
             film.seek(index)
-            # Lossy ones and palettes differ a little.
+            # Lossy formats and colour palettes change the colours of the frames slightly.
             difference = np.abs(np.asarray(film.convert("RGB")).astype(int) - pixels(paths[index])[..., :3])
             assert difference.mean() < {".png": 1e-9, ".webp": 3.0, ".gif": 6.0}[suffix]
             assert film.info["duration"] == pytest.approx(100.0)

@@ -1,4 +1,4 @@
-"""Controls of the page: they follow the descriptions of options, and errors name them by their labels."""
+"""Controls of the viewer's page: they follow the descriptions of options, and errors name them by their labels."""
 
 import json
 
@@ -21,7 +21,7 @@ def test_every_option_of_pictures_has_a_control_or_is_excluded():
     assert options | set(EXCLUDED) == set(describe(PictureSettings))
 
 
-def test_initial_values_stand_for_those_that_the_library_takes_for_none():
+def test_initial_values_equal_the_defaults_of_the_library():
     assert wd.Coherence().sigma_um == VALUES["sigma_um"]
     assert wd.Coherence("source").angular_diameter_deg == VALUES["source_diameter_deg"]
     heightfield, up = wd.gratings.sinusoidal(2.0, 0.1), (0.0, 0.0, 1.0)

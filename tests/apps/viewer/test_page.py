@@ -1,6 +1,6 @@
-"""The viewer through its page in a real browser; ``make test-browser`` says what that takes.
+"""The viewer's page in a real browser; see ``make test-browser`` for the requirements.
 
-Pages are driven by their controls, and what is compared are the pixels on their canvas.
+The tests operate the page's controls, and compare the pixels of its canvas.
 """
 
 import base64
@@ -22,7 +22,7 @@ from PIL import Image
 import warpdiff as wd
 from warpdiff.apps import cli
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs it")
+sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs Playwright")
 
 pytestmark = pytest.mark.browser
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
@@ -30,14 +30,14 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Machines that test may be busy.
+# Time limit of each step in milliseconds, which is long because test machines may be busy.
 WAIT_MS = 240_000
-# The window leaves a stage of 320 × 240 pixels next to the panel.
+# Size of the browser window in pixels. Next to the panel it has a stage of 320 × 240 pixels.
 SMALL = {"width": 640, "height": 240}
 
 
 class Viewer:
-    """A server of its own process."""
+    """A viewer server in a separate process."""
 
     def __init__(self, *arguments, cache, port=0):
         environment = os.environ | {"WARPDIFF_CACHE_DIR": str(cache)}
@@ -51,7 +51,7 @@ class Viewer:
         self.url, self.port = match[1], int(match[2])
 
     def end(self):
-        """Interrupt it, and return its standard error."""
+        """Interrupt the server, and return its error output."""
         self.process.send_signal(signal.SIGINT)
         error = self.process.communicate(timeout=30)[1]
         assert self.process.returncode == 130, error
@@ -65,7 +65,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture
 def served(cache):
-    """Begins servers, which end with the test where it fails."""
+    """Return a function that starts servers. Servers that still run after the test are killed."""
     made = []
 
     def begin(*arguments, **options):
@@ -103,7 +103,7 @@ def chromium():
 
 
 class Page:
-    """A page with the lines of its console."""
+    """A browser page, with the lines of its console."""
 
     def __init__(self, browser, url, size=SMALL):
         self.context = browser.new_context(viewport=size)
@@ -114,7 +114,7 @@ class Page:
         self.page.goto(url)
 
     def rest(self):
-        """Wait for the final picture of the present settings."""
+        """Wait for the final picture of the current settings, and return its pixels."""
         self.page.wait_for_function(
             "() => { const c = document.getElementById('picture').dataset;"
             "return c.error || (c.last === 'true' && c.generation === c.requested); }",
@@ -124,13 +124,13 @@ class Page:
         return self.pixels()
 
     def pixels(self):
-        """The pixels of the canvas."""
+        """Return the pixels of the canvas, (height, width, 3)."""
         url = self.page.eval_on_selector("#picture", "c => c.toDataURL('image/png')")
         image = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2])))
         return np.asarray(image.convert("RGB")).astype(int)
 
     def set(self, name, value):
-        """Set a control as its user does."""
+        """Set a control of the page as a user does."""
         field = self.page.locator(f"#set-{name}")
         kind = field.evaluate("field => field.type")
         if kind == "checkbox":
@@ -158,7 +158,7 @@ class Page:
 @pytest.fixture
 def page(chromium, viewer):
     made = Page(chromium, viewer.url)
-    # The first file that was named is shown at first.
+    # Initially the page shows the first file of the command line, so the test settings are selected here.
     for name, value in {"mesh": "tube", "surface": "nano-fingers", "height": "240", "tolerance": "1e-1"}.items():
         made.set(name, value)
     yield made
@@ -169,8 +169,8 @@ def changed(pixels, before):
     return np.mean(np.abs(pixels - before).max(axis=2) > 8)
 
 
-def test_the_picture_changes_with_what_is_set_and_comes_back(page):
-    # With automatic exposure a mirror would look the same.
+def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
+    # The exposure is locked, because with automatic exposure all mirrors would have the same picture.
     page.set("lock_exposure", True)
     first = page.rest()
     assert first.shape == (240, 320, 3)
@@ -190,7 +190,7 @@ def test_the_picture_changes_with_what_is_set_and_comes_back(page):
     ):
         page.set(name, value)
         pixels = page.rest()
-        # Pigment is of bodies that have a colour.
+        # The pigment only changes meshes with a base colour, and the test mesh has none.
         assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)
@@ -227,7 +227,7 @@ def test_the_light_is_dragged_by_its_handle(page):
     assert np.hypot(box["x"] + box["width"] / 2 - (x - 60), box["y"] + box["height"] / 2 - (y + 10)) < 2.0
 
 
-def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypatch):
+def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page.set("sigma_um", 8)
     page.set("tolerance", "3e-2")
@@ -235,10 +235,10 @@ def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypat
     pixels = page.rest()
     lines = page.page.locator("#python").text_content()
     made = {}
-    exec(lines, made)  # noqa: S102 (it is ours)
+    exec(lines, made)  # noqa: S102 (the viewer's own lines)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # And of shade, by the plan that is stated.
+    # The pixels of the page also equal those of ``shade`` with the same plan.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
@@ -246,7 +246,7 @@ def test_at_rest_it_is_the_picture_that_its_lines_make(page, tmp_path, monkeypat
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The command makes a plan for its own directions: the same within the tolerances.
+    # The command line makes a plan for its own directions, so its picture agrees with the page only approximately.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0
@@ -267,7 +267,7 @@ def test_pictures_are_saved(page):
     assert download.value.path().read_bytes()[:4] == b"\x76\x2f\x31\x01"
 
 
-def test_angles_and_the_map_are_of_the_place_that_is_clicked(page):
+def test_angles_and_the_map_belong_to_the_clicked_position(page):
     page.rest()
     page.page.wait_for_function("() => document.getElementById('map').dataset.generation", timeout=WAIT_MS)
     first = page.page.locator("#angles").text_content()
@@ -288,13 +288,13 @@ def test_a_reload_shows_the_same(page):
     np.testing.assert_array_equal(page.rest(), before)
 
 
-def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium, viewer):
+def test_an_error_of_one_page_does_not_reach_another_page(page, chromium, viewer):
     other = Page(chromium, viewer.url)
     for name, value in {"mesh": "disc", "surface": "nano-fingers", "height": "240", "tolerance": "1e-1"}.items():
         other.set(name, value)
     first, second = page.rest(), other.rest()
     assert changed(first, second) > 0.1
-    # Bumps that do not fit into their cell.
+    # The requested bumps are wider than their spacing, so the page shows an error.
     other.set("surface", "bumps")
     other.set("bumps_width_um", 2)
     other.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)
@@ -306,8 +306,8 @@ def test_two_pages_at_once_and_one_page_s_error_reaches_no_other(page, chromium,
     other.close()
 
 
-def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, waves, tmp_path):
-    import OpenImageIO as oiio  # noqa: N813 (as its own manual does)
+def test_an_environment_illuminates_the_mesh_and_is_its_background(chromium, served, waves, tmp_path):
+    import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 
     radiance = np.full((8, 16, 3), 0.3, dtype=np.float32)
     radiance[:, 8:] = 0.6, 0.4, 0.3
@@ -327,7 +327,7 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
         made.set(name, value)
     first = made.rest()
     assert not made.page.locator("#light").is_visible()
-    # Behind the body, on the left and on the right.
+    # The sky behind the mesh has different colours on the left and on the right.
     assert np.ptp(first[0], axis=0)[0] > 10
     made.set("environment_rotation_deg", 150)
     assert changed(made.rest(), first) > 0.2
@@ -358,7 +358,7 @@ def test_an_environment_lights_the_body_and_stands_behind_it(chromium, served, w
     server.end()
 
 
-def test_the_server_may_go_and_come_back(chromium, served):
+def test_the_page_reconnects_to_a_restarted_server(chromium, served):
     server = served()
     made = Page(chromium, server.url)
     for name, value in {"mesh": "tube", "height": "240", "tolerance": "1e-1"}.items():
@@ -372,13 +372,13 @@ def test_the_server_may_go_and_come_back(chromium, served):
     made.set("azimuth_deg", 10)
     assert changed(made.rest(), before) > 0.01
     server.end()
-    # The browser logs refused connections.
+    # The browser logs refused connections while no server runs.
     made.console = [line for line in made.console if "ERR_CONNECTION_REFUSED" not in line]
     made.close()
 
 
-def test_beyond_this_machine_the_page_is_opened_with_its_token(chromium, served):
-    server = served("--host", "0.0.0.0")  # noqa: S104 (that is what is tested)
+def test_from_other_machines_the_page_requires_its_token(chromium, served):
+    server = served("--host", "0.0.0.0")  # noqa: S104 (the test needs an open address)
     made = Page(chromium, f"http://127.0.0.1:{server.port}/?{server.url.partition('?')[2]}")
     made.page.wait_for_function("() => document.getElementById('picture').dataset.count", timeout=WAIT_MS)
     made.close()

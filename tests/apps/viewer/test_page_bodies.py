@@ -1,4 +1,4 @@
-"""Bodies of the viewer: the disk cache of sample bodies, framing, and local directions."""
+"""Sample meshes of the viewer: disk cache, framing by the camera, and local directions."""
 
 import numpy as np
 import pytest
@@ -10,15 +10,17 @@ from warpdiff.device.devices import resolve_device
 from warpdiff.scene.mesh_import import prepare_surface
 
 
-def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
+def test_sample_bodies_are_cached_on_disk(tmp_path, monkeypatch):
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr("warpdiff.core.disk_cache._LEAST_SECONDS", 0.0)
     call = Call.of("meshes.tube", segments_along=12, segments_around=6)
     first = page_bodies.surface_of(call, None)
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
-    # Studios of other tests may still draw.
-    monkeypatch.setattr(Call, "make", lambda other: pytest.fail("it is cached") if other is call else make(other))
+    # Rendering threads of other tests may still create meshes, so only the tested mesh must not be created again.
+    monkeypatch.setattr(
+        Call, "make", lambda other: pytest.fail("the cache is not used") if other is call else make(other)
+    )
     cached = page_bodies.surface_of(call, None)
     for name, value in vars(first).items():
         assert type(getattr(cached, name)) is type(value), name
@@ -26,7 +28,7 @@ def test_sample_bodies_are_found_again_on_disk(tmp_path, monkeypatch):
     assert prepare_surface(cached) is cached
 
 
-def test_a_body_is_framed_whole():
+def test_a_framed_body_fills_the_picture_and_is_not_cut_off():
     for name in ("disc", "tube"):
         surface = prepare_surface(getattr(wd.meshes, name)())
         for width, height in ((80, 60), (40, 60)):
@@ -41,7 +43,7 @@ def test_a_body_is_framed_whole():
             assert max(np.ptp(rows) / height, np.ptp(columns) / width) > 0.75
 
 
-def test_a_light_at_the_eye_is_seen_where_it_is():
+def test_the_local_direction_to_a_light_at_the_eye_equals_the_view_direction():
     surface = prepare_surface(wd.meshes.tube())
     view = page_bodies.framed(surface, 40, 30)
     options = {"smooth": True, "device": resolve_device(None), "threads": 1}

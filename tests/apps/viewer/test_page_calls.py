@@ -1,4 +1,4 @@
-"""Calls for the values of a page: those that are made, written as Python and written as a command line are the same."""
+"""Library calls for the settings of a page: executed calls, Python text and command line have the same arguments."""
 
 import functools
 import inspect
@@ -30,12 +30,12 @@ def files(tmp_path):
 
 
 def extremes(control):
-    """Two or more values of a control."""
+    """Return all values of a choice, or the two end values of a slider."""
     return list(control.labels) or ([True, False] if control.slider is None else list(control.slider[:2]))
 
 
 def scenes(files):
-    """By control, the scenes of its values, where it is shown."""
+    """Yield each control with the scenes for its extreme values; controls that it depends on make it visible."""
     first = checked(files.controls, {"mesh": "snake", "surface": "fingers", "light": "directional"})
     for control in files.controls.values():
         shown = first | {name: values[0] for name, values in control.shown_if.items()}
@@ -55,7 +55,7 @@ def test_every_control_is_part_of_a_scene(files, tmp_path):
 
 @pytest.fixture
 def recorded(monkeypatch, tmp_path):
-    """Makes gratings, bodies and environments the names of their functions with all arguments."""
+    """Replace gratings, meshes and environments by the names of their functions with all arguments."""
 
     def recorder(function):
         @functools.wraps(function)
@@ -79,7 +79,7 @@ def operands_of(value):
 
 
 def by_python(lines):
-    """The arguments of the renderer that lines of Python make."""
+    """Return the arguments that Python text passes to the renderer."""
     names = {}
     recording = lines.partition("renderer.image()")[0].replace("wd.Renderer(", "(lambda *a, **k: (a, k))(")
     exec(recording, names)  # noqa: S102 (the viewer's own lines)
@@ -89,7 +89,7 @@ def by_python(lines):
 
 
 def by_command(command, monkeypatch):
-    """The arguments of the picture that a command line draws."""
+    """Return the arguments of the picture that a command line renders."""
     calls = []
 
     def shade(mesh, heightfield, lights, view, **options):
@@ -105,7 +105,7 @@ def by_command(command, monkeypatch):
 
 
 @pytest.mark.usefixtures("recorded")
-def test_python_and_command_line_ask_for_the_same(files, monkeypatch):
+def test_python_and_command_line_have_the_same_arguments(files, monkeypatch):
     saving = {"display": "clip", "exposure": 1.5, "background": (0.1, 0.1, 0.1)}
     texts = {}
     for _, made in scenes(files):
@@ -174,7 +174,7 @@ def test_scenes_are_written_as_they_are_made():
     assert words[words.index("--ior") + 1] == "inf"
     assert words[words.index("--coherence") + 1] == "source"
     assert {"--no-masking", "--display"} < set(words)
-    # Normalised energy replaces masking, whatever that was before.
+    # Normalised energy replaces masking, so a scene with it has no option ``masking``.
     scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
     assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
     words = scene.command(VIEW, 0.5, {}).split()
@@ -209,4 +209,4 @@ def test_metals_of_a_scene_are_written():
 def test_calls_are_made_as_they_are_written():
     call = Call("rotated", (1,), (), Call.of("HeightField", ((0.0, 0.1),), 0.5))
     assert str(call) == "wd.HeightField(((0.0, 0.1),), 0.5).rotated(1)"
-    np.testing.assert_array_equal(call.make().heights_um, eval(str(call)).heights_um)  # noqa: S307 (our own line)
+    np.testing.assert_array_equal(call.make().heights_um, eval(str(call)).heights_um)  # noqa: S307 (the tested text)

@@ -1,4 +1,4 @@
-"""The viewer's server against requests that no page sends: nothing unnamed is served, and nothing piles up."""
+"""The viewer's server with malformed requests: it serves only its page, and connections do not accumulate."""
 
 import asyncio
 import contextlib
@@ -11,8 +11,8 @@ import pytest
 
 from warpdiff.apps.viewer.controls import checked, controls, defaults, described
 
-websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs it")
-from websockets.sync.client import connect  # noqa: E402 (what may be absent)
+websockets = pytest.importorskip("websockets", reason="warpdiff[view] installs websockets")
+from websockets.sync.client import connect  # noqa: E402 (optional package)
 
 from warpdiff.apps.viewer import server as view_server  # noqa: E402
 from warpdiff.apps.viewer.server import MOST_PAGES, ViewServer  # noqa: E402
@@ -21,7 +21,7 @@ KNOWN = controls()
 
 
 class Studio:
-    """Draws nothing, and records requests."""
+    """Stand-in for the rendering thread: it renders nothing, and records requests."""
 
     def __init__(self):
         self.sessions, self.requests = [], []
@@ -42,7 +42,7 @@ class Studio:
 
 @contextlib.contextmanager
 def serving(host="127.0.0.1"):
-    """A server on a thread of its own."""
+    """Run a server in a separate thread."""
     studio, ready = Studio(), threading.Event()
 
     async def begun():
@@ -69,7 +69,7 @@ def serving(host="127.0.0.1"):
 
 
 def ask(server, text, wait_s=5.0):
-    """Return the answer to these bytes on a new connection."""
+    """Return the server's answer to a text or bytes on a new connection."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=wait_s) as connection:
         connection.sendall(text if isinstance(text, bytes) else text.replace("\n", "\r\n").encode())
         answer = b""
@@ -92,7 +92,7 @@ def draw(**changes):
     return json.dumps(message | changes)
 
 
-def test_nothing_but_the_page_is_served():
+def test_only_the_page_is_served():
     with serving() as (server, _):
         host = f"Host: 127.0.0.1:{server.port}\n"
         served = ask(server, f"GET / HTTP/1.1\n{host}\n")
@@ -115,7 +115,7 @@ def test_nothing_but_the_page_is_served():
                 assert "200" not in ask(server, noise, wait_s=0.3)
 
 
-def test_other_pages_of_the_browser_open_no_socket():
+def test_pages_from_other_origins_cannot_open_a_socket():
     with serving() as (server, studio):
         address = f"ws://127.0.0.1:{server.port}/socket"
         for origin in ("https://evil.example", "null", None, f"http://127.0.0.1:{server.port + 1}", "file://"):
@@ -124,8 +124,8 @@ def test_other_pages_of_the_browser_open_no_socket():
         assert not studio.sessions
 
 
-def test_beyond_this_machine_a_token_is_asked_for():
-    with serving("0.0.0.0") as (server, _):  # noqa: S104 (that is what is tested)
+def test_from_other_machines_a_token_is_required():
+    with serving("0.0.0.0") as (server, _):  # noqa: S104 (the test needs an open address)
         assert len(server.token) > 20
         assert server.address.endswith(f"/?token={server.token}")
         host = f"Host: example.org:{server.port}\n"
@@ -139,7 +139,7 @@ def test_beyond_this_machine_a_token_is_asked_for():
             assert json.loads(page.recv())["kind"] == "hello"
 
 
-def test_a_hundred_connections_are_let_in_up_to_a_number():
+def test_the_number_of_connections_is_limited():
     with serving() as (server, studio), contextlib.ExitStack() as stack:
         refused = 0
         for _ in range(100):
@@ -158,13 +158,13 @@ def test_a_hundred_connections_are_let_in_up_to_a_number():
             page.recv(timeout=5.0)
 
 
-def test_connections_that_say_nothing_are_closed(monkeypatch):
+def test_silent_connections_are_closed(monkeypatch):
     monkeypatch.setattr(view_server, "_OPENING_S", 0.3)
     with serving() as (server, _), contextlib.ExitStack() as stack:
         silent = [
             stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0)) for _ in range(100)
         ]
-        # Or this times out.
+        # If the server did not close a silent connection, reading from it would raise a timeout error.
         for connection in silent:
             while connection.recv(1000):
                 pass
@@ -184,7 +184,7 @@ def test_messages_that_no_page_sends_end_the_connection(message):
         assert not studio.requests
 
 
-def test_a_message_of_any_size_takes_no_memory():
+def test_messages_beyond_the_size_limit_are_refused():
     with serving() as (server, _), page_of(server) as page:
         page.recv()
         with contextlib.suppress(websockets.exceptions.ConnectionClosed):
@@ -193,7 +193,7 @@ def test_a_message_of_any_size_takes_no_memory():
             page.recv(timeout=5.0)
 
 
-def test_values_that_make_no_sense_are_told_to_the_page_alone():
+def test_invalid_values_are_reported_only_to_their_page():
     with serving() as (server, studio), page_of(server) as page, page_of(server) as other:
         assert json.loads(page.recv())["controls"] == json.loads(json.dumps(described(KNOWN)))
         other.recv()
@@ -209,7 +209,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
             before = len(studio.requests)
             page.send(draw(**case))
             page.send(draw(generation=7))
-            # The next request is served.
+            # After an invalid request, the server still accepts the next valid request.
             give_up = time.monotonic() + 5.0
             while time.monotonic() < give_up and not (
                 len(studio.requests) > before and studio.requests[-1].generation == 7
@@ -231,7 +231,7 @@ def test_values_that_make_no_sense_are_told_to_the_page_alone():
             other.recv(timeout=0.1)
 
 
-def test_a_page_that_reads_nothing_is_let_go():
+def test_a_page_that_reads_nothing_is_disconnected():
     with serving() as (server, studio), page_of(server, max_queue=1, close_timeout=0.1) as page:
         with contextlib.suppress(websockets.exceptions.ConnectionClosed, OSError):
             for _ in range(2000):

@@ -1,4 +1,4 @@
-"""The thread that draws for the viewer's pages: finer and finer, the newest first, and never for nobody."""
+"""The rendering thread of the viewer: progressive refinement, newest request first, no work for closed pages."""
 
 import dataclasses
 import io
@@ -41,7 +41,7 @@ class Page:
         self.studio, self.session = studio, studio.session(lambda *sent: self.messages.put(sent))
 
     def until(self, holds):
-        """All messages until something holds; each picture is shown at once."""
+        """Return all messages up to the first message that satisfies a condition, and acknowledge each picture."""
         received = []
         while not received or not holds(received[-1][0]):
             received.append(self.messages.get(timeout=WAIT_S))
@@ -74,7 +74,7 @@ def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
         last, data = pictures[2]
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
-        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
+        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (the viewer's own lines)
         pixels = np.asarray(Image.open(io.BytesIO(data)))
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
 
@@ -92,11 +92,11 @@ def sky(tmp_path_factory):
     return path
 
 
-def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_path):
+def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch, tmp_path):
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # Tables for this window take seconds less. The page, its code and its command each make them.
+    # A short coherence window saves several seconds for the tables of the page, of its Python lines and of its command.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
@@ -110,18 +110,19 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
         assert set(messages[-1][0]["angles"]) == {"view"}
         made = {}
         lines = last["python"].replace("renderer.image().save(", "shown = renderer.image().display(")
-        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (it is ours)
+        exec(lines.replace('"picture.png", ', ""), made)  # noqa: S102 (the viewer's own lines)
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The file is the same, and so is the command's but for its plan.
+        # The saved file equals the picture on the page. The command has its own plan, so its picture agrees
+        # approximately.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
         command = shlex.split(last["command"])
         assert cli.main(command[1:]) == 0
         assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - pixels), 99.0) <= 8
-        # It fills the background. From another view its maps are the same arrays on the device.
+        # The environment fills the background. After a change of the view, its arrays on the device are reused.
         uploads, upload = [], sky_distribution.upload_sky
         monkeypatch.setattr(
             sky_distribution, "upload_sky", lambda *operands: uploads.append(operands) or upload(*operands)
@@ -135,11 +136,11 @@ def test_environments_light_a_body_and_stand_behind_it(sky, monkeypatch, tmp_pat
         assert not uploads
 
 
-def test_what_is_let_go_is_refined_at_once(studio):
+def test_a_released_control_is_refined_immediately(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, moving=True))
         page.until(lambda message: message["kind"] == "picture")
-        # Where it was seen, or a little beyond.
+        # A control is released at the value of the last preview, or slightly beyond it.
         for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
             studio.request(page.session, page_request(generation, azimuth_deg=azimuth_deg))
             ((first, _), *_) = (part for part in page.until(is_last) if part[0]["kind"] == "picture")
@@ -148,7 +149,7 @@ def test_what_is_let_go_is_refined_at_once(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # Changed settings are shown unrefined first.
+        # After a change of the settings, the first picture is unrefined.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)
@@ -157,7 +158,7 @@ def test_what_is_let_go_is_refined_at_once(studio):
         assert first["tolerance"] is None
 
 
-def test_another_place_in_a_picture_that_stands_is_told_without_drawing_it_again(studio):
+def test_a_click_in_a_finished_picture_reports_angles_without_rendering(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         before = page.until(lambda message: message["kind"] == "map")[-1][0]
@@ -168,7 +169,7 @@ def test_another_place_in_a_picture_that_stands_is_told_without_drawing_it_again
 
 
 def delayed(is_delayed):
-    """A draw that waits in the first refined picture until it is cancelled, and the queue where it says so."""
+    """Return a ``draw`` that waits in its first refined picture until cancelled, and a queue of started pictures."""
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, previews=None):
@@ -199,11 +200,11 @@ def test_a_picture_that_is_out_of_date_is_cancelled(studio, monkeypatch):
         ]
 
 
-def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rests(studio, monkeypatch):
+def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_movement(studio, monkeypatch):
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # As on a slower machine.
+        # Short time limits for previews simulate a slower machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
@@ -214,30 +215,31 @@ def test_what_moves_is_drawn_no_faster_than_it_is_shown_and_refined_once_it_rest
         assert len(moving) == 2
         assert {message["tolerance"] for message in moving} == {None}
         assert moving[0]["height"] < 240
-        # Once it rests, an unrefined picture of all pixels comes first.
+        # After the movement, an unrefined picture of full size comes first.
         studio.request(page.session, page_request(10, azimuth_deg=27.0))
         received = page.until(lambda message: is_last(message) and message["generation"] == 10)
         first, *_ = (part for part, _ in received if part["kind"] == "picture" and part["generation"] == 10)
         assert (first["tolerance"], first["height"]) == (None, 240)
 
 
-def test_what_moves_has_as_many_pixels_as_come_in_time():
+def test_previews_have_as_many_pixels_as_the_frame_rate_allows():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
-    # Seconds of a picture, a part of them for whatever size; below 320 × 240 only where twelve a second are not kept.
+    # Rendering time in seconds: a fixed part, and a part for all pixels. Previews below 320 × 240 are used only below
+    # 12 Hz.
     for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
         studio._times, studio._last_pixels, sizes = deque(maxlen=5), math.inf, []
         for index in range(16):
             view = studio._smaller(full)
             sizes.append(view.width)
-            # Every eighth is late, which changes nothing.
+            # Every eighth picture is late, which must not change the size of the previews.
             late = 0.2 * (index % 8 == 7)
             pixels = view.width * view.height
             studio._times.append((fixed + of_all * pixels / (640 * 480) + late) / math.sqrt(pixels))
         assert set(sizes[6:]) == {expected}, sizes
 
 
-def test_an_error_is_told_and_ends_nothing(studio):
+def test_an_error_is_reported_and_later_requests_are_served(studio):
     with Page(studio) as page, Page(studio) as other:
         studio.request(page.session, page_request(1, surface="bumps", bumps_width_um=2.0))
         studio.request(other.session, page_request(1))

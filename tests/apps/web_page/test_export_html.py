@@ -1,6 +1,6 @@
-"""The exported page in headless Chromium, through the page itself: `make test-browser` says what it needs.
+"""The exported page in headless Chromium; see ``make test-browser`` for the requirements.
 
-Software WebGL is slow: bodies, canvases and numbers of frames are small, and the page draws a few frames at a time.
+Meshes, canvases and numbers of frames are small, and each call renders few frames, because software WebGL is slow.
 """
 
 import base64
@@ -15,17 +15,17 @@ import pytest
 import warpdiff as wd
 from warpdiff.optics import colorimetry
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs it")
+sync_api = pytest.importorskip("playwright.sync_api", reason="make test-browser installs Playwright")
 
 pytestmark = pytest.mark.browser
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-# No graphics device and no network.
+# Chromium runs without a graphics device and without network.
 FLAGS = (
     "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run "
     "--disable-background-networking --disable-component-update --disable-sync"
 )
 WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 1024, 16
-# Machines that test may be busy.
+# Time limit of each step in milliseconds, which is long because test machines may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEWS = [
@@ -62,7 +62,7 @@ def chromium():
 
 
 def opened(chromium, path, *more):
-    """A browser that shows a page, and what it says on its console."""
+    """Return a browser, the opened page, and a list of the page's console messages."""
     browser = chromium.launch(executable_path=CHROMIUM, args=[*FLAGS.split(), *more])
     shown = browser.new_page(viewport={"width": 240, "height": 200})
     shown.set_default_timeout(WAIT_MS)
@@ -75,7 +75,7 @@ def opened(chromium, path, *more):
 
 @pytest.fixture(scope="module")
 def shown(page, chromium):
-    """The page in a browser, with what it says on its console as ``said``."""
+    """Return the page in a browser, with its console messages as ``said``."""
     browser, shown, said = opened(chromium, page)
     shown.evaluate("warpdiff.ready")
     shown.said = said
@@ -92,7 +92,7 @@ RENDER = """(wanted) => {
 
 
 def render(shown, frames, **wanted):
-    """XYZ and coverage of so many frames, row 0 on top."""
+    """Return XYZ and coverage of the mean of ``frames`` frames, with row 0 at the top."""
     done = 0
     while done < frames:
         width, height, text = shown.evaluate(
@@ -103,13 +103,13 @@ def render(shown, frames, **wanted):
 
 
 def of_view(view, to_light):
-    seen = {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg}
+    camera = {"eye": view.eye, "target": view.target, "up": view.up, "fov_y_deg": view.fov_y_deg}
     lights = [{"to_light": to_light, "power": 1.0}]
-    return {"view": seen, "lights": lights, "width": view.width, "height": view.height}
+    return {"view": camera, "lights": lights, "width": view.width, "height": view.height}
 
 
 def canvas(shown):
-    """The canvas' pixels, 0 to 1."""
+    """Return the pixels of the canvas, from 0 to 1."""
     text = shown.evaluate("document.getElementById('canvas').toDataURL('image/png')")
     with PIL.Image.open(io.BytesIO(base64.b64decode(text.partition(",")[2]))) as picture:
         return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
@@ -121,8 +121,8 @@ def colour_difference(shown, other):
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
-    """ΔE2000 of what the canvas shows, percentile 99 over the pixels all of whose rays hit and are lit."""
+def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
+    """The error is the 99th percentile of ΔE2000 over pixels whose rays all hit the mesh and are illuminated."""
     view, to_light = VIEWS[index], LIGHTS[index]
     light = wd.DirectionalLight(to_light)
     exact = wd.shade(body, skin, light, view, coherence=WINDOW, pigment=PIGMENT, tolerance=3e-2)
@@ -130,45 +130,45 @@ def test_a_picture_at_rest_is_that_of_shade(shown, skin, body, index):
     fine = wd.shade(body, skin, light, larger, coherence=WINDOW, pigment=0.0, tolerance=0.3, refine=False)
     interior = (fine.mask & fine.illuminated).reshape(HEIGHT, 4, WIDTH, 4).all(axis=(1, 3))
     assert interior.sum() > 1000
-    found = render(shown, FRAMES, exposure=exact.auto_exposure, **of_view(view, to_light))
+    result = render(shown, FRAMES, exposure=exact.auto_exposure, **of_view(view, to_light))
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
-    # The reference picture may have an error of this size.
-    assert found[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
-    assert np.abs(found[..., 3] - exact.coverage).mean() < 0.01
+    # The reference picture has a tolerance of 3 %, so sums of Y may differ by this much.
+    assert result[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
+    assert np.abs(result[..., 3] - exact.coverage).mean() < 0.01
 
 
-def test_a_light_at_a_place_is_that_of_shade(shown, skin, body):
-    """Direction, falloff, footprint and shadow, by fewer frames: medians and sums do not see edges' noise."""
+def test_a_point_light_equals_that_of_shade(shown, skin, body):
+    """With few frames, medians and sums of pixels are compared, because edges are noisy."""
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
-    wanted = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
-    found = render(shown, 64, exposure=exact.auto_exposure, **wanted)
-    seen = canvas(shown)
+    request = of_view(view, place) | {"lights": [{"position": place, "power": 2.0}]}
+    result = render(shown, 64, exposure=exact.auto_exposure, **request)
+    pixels = canvas(shown)
     inside = (exact.coverage > 0.999) & exact.illuminated
     dark = (exact.coverage > 0.999) & ~exact.illuminated
     assert min(inside.sum(), 20 * dark.sum()) > 1000
-    assert np.median(colour_difference(seen, exact.display()[..., :3])[inside]) <= 1.0
-    assert found[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
-    assert np.median(found[..., 1][dark]) < 0.05 * np.median(found[..., 1][inside])
-    # As bright in the middle, but from far away, it is another picture.
+    assert np.median(colour_difference(pixels, exact.display()[..., :3])[inside]) <= 1.0
+    assert result[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
+    assert np.median(result[..., 1][dark]) < 0.05 * np.median(result[..., 1][inside])
+    # A directional light with the same brightness in the picture centre gives a clearly different picture.
     far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
     render(shown, 16, **far)
     assert np.median(colour_difference(canvas(shown), exact.display()[..., :3])[inside]) > 3.0
 
 
-def test_pictures_come_back_when_light_view_and_exposure_do(shown):
+def test_pictures_are_restored_with_light_view_and_exposure(shown):
     first = of_view(VIEWS[0], LIGHTS[0])
     before = render(shown, 2, exposure=1e5, **first)
-    seen = canvas(shown)
+    pixels = canvas(shown)
     for changed in (of_view(VIEWS[1], LIGHTS[0]), of_view(VIEWS[0], LIGHTS[1])):
         assert not np.array_equal(render(shown, 2, **changed), before)
     render(shown, 2, exposure=4e5, **first)
-    assert canvas(shown).mean() > seen.mean()
+    assert canvas(shown).mean() > pixels.mean()
     assert np.array_equal(render(shown, 2, exposure=1e5, **first), before)
-    assert np.array_equal(canvas(shown), seen)
+    assert np.array_equal(canvas(shown), pixels)
 
 
 STATE = "structuredClone({ ...warpdiff.state })"
@@ -178,8 +178,8 @@ def distance(state):
     return np.linalg.norm(np.subtract(state["view"]["eye"], state["view"]["target"]))
 
 
-def test_hands_turn_body_and_light(shown):
-    """A drag over the canvas, a wheel, a drag over the light's disc, the slider; then the page comes to rest."""
+def test_dragging_rotates_body_and_light(shown):
+    """The test drags on the canvas and on the light's disc, turns the wheel, and moves the slider."""
     shown.evaluate("warpdiff.render({ width: 64, height: 48, frames: 1 }).width")
     state = shown.evaluate(STATE)
 
@@ -212,7 +212,7 @@ def test_hands_turn_body_and_light(shown):
     shown.evaluate("warpdiff.render({ width: 64, height: 48, frames: 1 }).width")
 
 
-def test_a_page_keeps_its_budget_and_is_complete(shown, page):
+def test_a_page_is_within_its_size_limit_and_complete(shown, page):
     assert shown.evaluate("warpdiff.fetches") <= 64
     assert shown.title() == "A <snake> & its skin"
     text = page.read_text(encoding="utf-8")
@@ -222,25 +222,25 @@ def test_a_page_keeps_its_budget_and_is_complete(shown, page):
     assert "Resolution in (u, v): 0.0039" in shown.locator("#description").inner_text()
 
 
-def test_nothing_is_said_on_the_console(shown):
-    # Chromium itself warns of reading pixels back, which only tests do.
+def test_the_console_stays_empty(shown):
+    # Chromium warns about reading pixels back, which the page does only in tests.
     assert not [each for each in shown.said if "GPU stall due to ReadPixels" not in each[1]]
 
 
-def test_without_webgl_2_a_sentence_says_so(page, chromium):
+def test_without_webgl_2_a_message_is_shown(page, chromium):
     browser, shown, _ = opened(chromium, page, "--disable-3d-apis")
     assert "This page needs WebGL 2, which this browser does not offer" in shown.locator("#failed").inner_text()
     assert shown.locator("#failed").is_visible()
     browser.close()
 
 
-# Edges of facets, which are judged by their median.
+# Pixels at the edges of facets have large errors, so only the median error is limited.
 @pytest.mark.filterwarnings("ignore:.*of the pixels see more than")
 @pytest.mark.parametrize(
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
 def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chromium, tmp_path):
-    """Features that the snake does not have."""
+    """The page supports mirrored textures, facets and several lights, which the other tests do not use."""
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)
@@ -256,10 +256,10 @@ def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chr
     exact = wd.shade(body, skin, lights, view, coherence=WINDOW, tolerance=3e-2, material=material, **options)
     browser, shown, said = opened(chromium, path)
     shown.evaluate("warpdiff.ready")
-    found = render(shown, 64, width=64, height=48)
+    result = render(shown, 64, width=64, height=48)
     browser.close()
     assert not [each for each in said if "GPU stall due to ReadPixels" not in each[1]]
     inside = (exact.coverage > 0.999) & exact.illuminated
-    of_light, seen = exact.xyz[inside], found[..., :3][inside]
-    assert np.median(np.linalg.norm(seen - of_light, axis=1) / np.linalg.norm(of_light, axis=1)) < 0.05
-    np.testing.assert_allclose(seen.sum(axis=0), of_light.sum(axis=0), rtol=0.05)
+    of_light, of_page = exact.xyz[inside], result[..., :3][inside]
+    assert np.median(np.linalg.norm(of_page - of_light, axis=1) / np.linalg.norm(of_light, axis=1)) < 0.05
+    np.testing.assert_allclose(of_page.sum(axis=0), of_light.sum(axis=0), rtol=0.05)
