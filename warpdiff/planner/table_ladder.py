@@ -1,4 +1,4 @@
-"""Table ladder: the smallest colour table that meets a tolerance on the validation set."""
+"""Table ladder: search for the smallest colour table that meets a tolerance on the validation set."""
 
 from __future__ import annotations
 
@@ -21,31 +21,33 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# Share of the tolerance that the error of the first table is expected to have. Fitted: planning times of 32 calls
-# (docs/decisions/plans_and_tolerance.md); with twice the share every second first table fails.
+# Expected error of the first table that is tried, as a share of the tolerance. Fitted to the planning times of 32 calls
+# (docs/decisions/plans_and_tolerance.md). With twice the share, every second first table fails.
 _FIRST_SHARE = 0.35
-# A larger table helps if it has at most this share of the least error so far, and at most twice the error that the
-# order of convergence predicts. Limit: above 0.6, to which 1.3 times the rings reduce the error by that order.
+# Largest share of the least error so far that a larger table may have to count as an improvement. Its error must also be
+# at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the rings reduce
+# the error to 0.6.
 _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
-    """The smallest table whose validation error is within the target, or the best of those tried.
+    """Return a plan with the smallest table whose validation error is within the target, or with the best table tried.
 
-    A table is made for each size that is tried, and found again by the call that follows. None if no table was made:
-    none was expected to suffice, or all were too large or too costly. Also None if the best table exceeds the target,
-    unless a table is needed or pixels show means.
+    The search computes a table of each size that it tries. The tables stay in the cache, and the call that follows uses
+    the last one. The result is None if no table was computed, because no size was expected to suffice or all sizes were
+    too large or too costly. It is also None if the best table exceeds the target, unless a table is needed or pixels
+    show means.
 
     Args:
         plan: The plan from bounds.
         trial: Training and validation directions of the call, and their reference.
-        footprint: Whether pixels show means.
-        needed: Whether the call cannot do without a table.
-        affordable: Multiply-adds that making one may cost.
+        footprint: Whether pixels show means over their footprints.
+        needed: Whether the call requires a table.
+        affordable: Largest cost of computing a table [multiply-adds].
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # Directions near the mirror direction are sampled.
+        # A table of a source excludes directions near the mirror direction, which are summed over wavelengths.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -62,7 +64,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # The first size is too large or too costly: a call that needs a table tries the next smaller one.
+            # If the first size is too large or too costly, a call that needs a table tries the next smaller one.
             size -= 1
             continue
         if best is None:
@@ -75,7 +77,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The number of terms was only estimated. The first failure measures whether more are needed.
+            # The number of terms was only estimated. The first failure measures whether more terms are needed.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -85,7 +87,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # More rings are not what the table needs, or there are none: more functions of w may be.
+            # More rings do not help, or there is no larger size: more functions of w may reduce the error.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -93,9 +95,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
 
 def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
-    """The index of the size to begin with; a middle one if a table is needed and none is expected to suffice."""
-    # Errors are larger where few directions are bright, so that the validation set misses some, and where diffraction
-    # orders are far apart.
+    """Return the index of the first size to try; a middle one if a table is needed and none is expected to suffice."""
+    # Errors are larger if diffraction orders are far apart. They are also larger if few directions are bright, because
+    # the validation set misses some of them.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -106,7 +108,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """A plan with a table, its errors and its costs."""
+    """Return a plan with a table, its measured errors and its costs."""
     predicted = predicted_error(error, plan, trial)
     return replace(
         plan, footprint=footprint, truncation=min(truncation, predicted), neighbourhood=0.0,
@@ -117,11 +119,12 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 
 
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
-    """The next size if the present one's error exceeds the target by a factor, or None where no size will do.
+    """Return the index of the next size to try, or None if no size is expected to suffice.
 
-    It is the first whose error fits by the order of convergence, but has at most twice the rings: small tables do not
-    converge by it yet. Where none fits, a plan that needs a table (``explicit``) goes on with the largest of these that
-    fits into memory.
+    The error of the present size exceeds the target by the factor ``excess``. The next size is the first one whose error
+    is within the target by the order of convergence, but it has at most twice the rings, because small tables converge
+    more slowly. If no size suffices, a plan that requires a table (``explicit``) continues with the largest of the
+    sizes with at most twice the rings that fits into memory.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))
@@ -141,7 +144,10 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 
 
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
-    """The fewest terms within a budget and their error, from one register of terms and the residuals of the basis."""
+    """Return a plan with the fewest terms whose truncation error is within a budget, and that error.
+
+    One trial with ``LANES`` terms measures the error. The residuals of the basis scale it to other numbers of terms.
+    """
     if plan.method in EXPANSIONS or plan.terms <= LANES:
         return plan, 0.0
     errors = trial.fitted(plan).truncation_errors

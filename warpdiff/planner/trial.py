@@ -1,6 +1,6 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
-A search may try any plan on the training set. The validation set is not used before it judges the result.
+A search may try any number of plans on the training set. The validation set only judges the result of the search.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Tolerance over the error that a validation set may have. Fitted: a call's error exceeds that of its validation set by
-# this factor in one call of a hundred (bench.reproduce.tolerance_sweep).
+# Ratio of the tolerance to the largest error allowed on a validation set. Fitted by bench.reproduce.tolerance_sweep: in
+# one call of a hundred, the error of the call exceeds that of its validation set by this factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidates that may be luck where a call has more directions. Fitted: one direction of 6,312
-# in the mirror's lobe was half of a call's luminance.
+# Number of the brightest candidates that may be outliers if a call has more directions than candidates. Fitted to a call
+# in which one of 6,312 directions, in the mirror lobe, was half of the luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance, relative to a mirror's. Limit: weaker light is darkness, whatever else a call shows.
+# Least luminance that counts as light, relative to the luminance of a mirror. Limit: weaker light is invisible.
 DARK = 1e-10
-# Share of the tolerance that is negligible in a reference and in a basis. Limit: a hundredth of an error that counts.
+# Share of the tolerance that is negligible as the error of a reference or of a basis. Limit: 1 % of a relevant error.
 NEGLIGIBLE_SHARE = 1e-2
-# The amplitudes of the reference lose nothing in float32, however dark a coefficient is at small κ.
+# Method of the reference. Its amplitudes keep their relative precision in float32, also for coefficients that are very
+# small at small κ.
 REFERENCE_METHOD = "jacobi-anger"
-# Number of wavelengths of a spectrum that are tried. Limit: they cost as much as directions.
+# Largest number of wavelengths of a spectrum in a trial. Limit: each wavelength costs as much as a direction.
 _SPECTRAL_SAMPLES = 64
 
 
@@ -53,14 +54,14 @@ class Group:
 
     Attributes:
         sample: The directions and their weights.
-        exact: Reference values, once ``Trial.exact`` has computed them; shape as of ``Trial.run``.
-        scale: Values that errors are relative to, (rows, n), a row for each illuminant and floor.
-        above: Whether they are bright, (rows, n).
+        exact: Reference values, computed by ``Trial.exact``; shape as for ``Trial.run``.
+        scale: Values that errors are relative to, (rows, n), one row per illuminant and floor.
+        above: Whether a direction is brighter than the floor, (rows, n).
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
         self.sample = sample
-        # The points of a spectrum count like directions.
+        # Each wavelength of a spectrum counts like a direction.
         self.weights = np.repeat(sample.weights, points)
         self.scattering_vectors = wp.array(sample.scattering_vectors, dtype=wp.vec3d, device=device)
         self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
@@ -73,13 +74,13 @@ class Group:
         return len(self.sample)
 
     def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
-        """Set reference values, and what errors are relative to, for floors of shape (illuminants, m)."""
+        """Set the reference values, and the scales of errors for floors of shape (illuminants, m)."""
         self.exact, rows = exact, floors.reshape(-1, 1)
         self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The error of each direction, shape (rows, n)."""
+        """Return the relative error of each direction, shape (rows, n)."""
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
@@ -89,8 +90,8 @@ class Trial:
 
     Attributes:
         reference: The plan whose results count as exact.
-        training_set: Directions that a search tries plans on.
-        validation_set: Directions that judge its result.
+        training_set: Directions on which a search compares plans.
+        validation_set: Directions that judge the result of the search.
         order_rate: Order rate of each training direction, shape (n,).
         w: |w| of each training direction, shape (n,).
     """
@@ -132,7 +133,7 @@ class Trial:
         self._sees_all = len(candidates) == round(candidates.weights.sum())
         luminance = _luminance(self.run(coarse, self._candidates))
         self._find_floors(luminance)
-        # The brightest point of a spectrum stands for it.
+        # The brightest wavelength of a spectrum represents the spectrum.
         brightest = luminance[0].reshape(len(candidates), -1).max(axis=1)
         training, validation = validation_directions.sampled(
             candidates, is_edge_case, brightest, float(self._floors[0].min())
@@ -145,12 +146,15 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether any of the directions shows more than darkness."""
+        """Whether light arrives in any of the directions."""
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Number of bright validation directions, by the highest and by the lowest floor; infinite where all count."""
+        """Number of bright validation directions, by the highest floor and by the lowest floor.
+
+        Both are infinite if the validation set has all directions of the call.
+        """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
         self.exact(self.validation_set)
@@ -159,12 +163,12 @@ class Trial:
 
     @property
     def max_order_rate(self) -> float:
-        """The largest order rate of the call, which bounds need not reach."""
+        """Largest order rate of the call, which may exceed that of the bounds."""
         return self._range.max_order_rate
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of the candidates, which the call's cost depends on."""
+        """Order rate, |w| and weight of each candidate. The cost of the call depends on them."""
         sample = self._candidates.sample
         return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
 
@@ -177,8 +181,8 @@ class Trial:
     def _find_floors(self, luminance: NDArray[np.float64]) -> None:
         """Find the floors of each illuminant from luminances (illuminants, n) of the candidates.
 
-        Where these are a part of the call, the few brightest may be luck: errors are to be small by a floor with them
-        and by one without.
+        If the candidates are only a part of the call, the brightest ones may be outliers. Errors must then be small by
+        a floor that includes them and by a floor that excludes them.
         """
         order = np.argsort(luminance[0])
         subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
@@ -192,7 +196,7 @@ class Trial:
     def refine_reference(self, plan: Plan) -> None:
         """Use twice the wavelengths of a plan as the reference."""
         if plan.coherence.adds_powers:
-            # The zeroth order's coefficient, of power 1, must not show in directions that are far darker.
+            # The zeroth order has the power 1. The tail of its lobe must be negligible in much darker directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -201,22 +205,22 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Find with a plan that is nearly right how bright the call is, which errors are relative to."""
+        """Estimate the brightness of the call by an approximate plan. Errors are relative to this brightness."""
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Values of directions by the reference."""
+        """Return the values of directions by the reference plan."""
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Values of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Return the values of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
-        # Two slices for each thread, which end at about the same time.
+        # With two slices per thread, all threads end at about the same time.
         slice_size = math.ceil(len(group) / self._threads / 2.0)
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
@@ -242,7 +246,7 @@ class Trial:
         return np.asarray(results, dtype=np.float64)
 
     def with_w_basis(self, plan: Plan) -> Plan:
-        """A plan that says how many functions of w its table has."""
+        """Return the plan with the number of functions of w that its table has."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
@@ -251,13 +255,13 @@ class Trial:
         return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
-        """Number of terms that the basis of a plan has."""
+        """Return the number of terms of a plan's basis."""
         if plan.method == self.reference.method:
             return self.reference.terms
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """The coefficients of a plan with a fitted basis."""
+        """Return the coefficients of a plan with a fitted basis."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -265,15 +269,18 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Percentile 99.5 of a plan's errors on the training set, of bright directions or of dim ones, the larger."""
+        """Return the worst percentile of a plan's errors on the training set, as :func:`worst_percentile` defines it."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
-        """The same of the validation directions that lie within the bounds of the reference, if any does."""
+        """Return the worst percentile of a plan's errors on the validation set.
+
+        Directions beyond the reference's bounds are excluded, unless all directions are beyond them.
+        """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # Where bounds were cut short for a source at the horizon, a table is right and the reference is not.
+        # If bounds were reduced for a source at the horizon, the reference is wrong beyond them.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -283,26 +290,26 @@ class Trial:
 def reference_luminance(
     luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True
 ) -> float:
-    """How bright a call is: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
+    """Return the brightness of a call: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
     bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
 
 
 def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """The least value that so large a share of all weight does not exceed; 0 of nothing."""
+    """Return the weighted quantile of values at a share of the total weight; 0 without values."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # Sums of equal weights are rounded.
+    # The small margin makes up for rounding errors in sums of equal weights.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 
 
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
-    """Percentile 99.5 of errors (rows, n), of bright directions or of dim ones, whichever is larger."""
+    """Return percentile 99.5 of errors (rows, n), among bright directions or among dim ones, whichever is larger."""
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
-    # In a set, half as many directions as in a call may have a larger error: few directions represent shares badly.
+    # The percentile is stricter than that of a call, 99, because a small set represents small shares badly.
     share = 0.5 * (1.0 + PERCENTILE)
     return max(
         _percentile(row[mask & included], group.weights[mask & included], share)
@@ -312,5 +319,5 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
 
 
 def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Y, which is the middle of XYZ (..., 3), or ρ of (..., 1)."""
+    """Return Y, the middle component of XYZ (..., 3), or ρ of shape (..., 1)."""
     return np.asarray(values[..., values.shape[-1] // 2])
