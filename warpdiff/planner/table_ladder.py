@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Expected error of the first table that is tried, as a share of the tolerance. Fitted to the planning times of 32 calls
 # (docs/decisions/plans_and_tolerance.md). With twice the share, every second first table fails.
 _FIRST_SHARE = 0.35
-# Largest share of the least error so far that a larger table may have to count as an improvement. Its error must also be
+# A larger table counts as an improvement if it has at most this share of the least error so far. Its error must also be
 # at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the rings reduce
 # the error to 0.6.
 _HELPS = 0.7
@@ -121,10 +121,10 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
     """Return the index of the next size to try, or None if no size is expected to suffice.
 
-    The error of the present size exceeds the target by the factor ``excess``. The next size is the first one whose error
-    is within the target by the order of convergence, but it has at most twice the rings, because small tables converge
-    more slowly. If no size suffices, a plan that requires a table (``explicit``) continues with the largest of the
-    sizes with at most twice the rings that fits into memory.
+    The error of the present size exceeds the target by the factor ``excess``. The next size is the first one whose
+    error is within the target by the order of convergence, but it has at most twice the rings, because small tables
+    converge more slowly. If no size suffices, a plan that requires a table (``explicit``) continues with the largest
+    size that fits into memory and has at most twice the rings.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 # Ratio of the tolerance to the largest error allowed on a validation set. Fitted by bench.reproduce.tolerance_sweep: in
 # one call of a hundred, the error of the call exceeds that of its validation set by this factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidates that may be outliers if a call has more directions than candidates. Fitted to a call
-# in which one of 6,312 directions, in the mirror lobe, was half of the luminance.
+# Number of the brightest candidates that may be outliers if a call has more directions than candidates. Fitted to a
+# call in which one of 6,312 directions, in the mirror lobe, was half of the luminance.
 _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, relative to the luminance of a mirror. Limit: weaker light is invisible.
 DARK = 1e-10
@@ -269,7 +269,7 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the worst percentile of a plan's errors on the training set, as :func:`worst_percentile` defines it."""
+        """Return the worst percentile of a plan's errors on the training set: see :func:`worst_percentile`."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
