@@ -100,7 +100,7 @@ def test_other_methods_fail_for_some_patch_sizes():
     assert line.automatic <= TOLERANCE
 
 
-# Regime of |(u, v)|: far from the mirror direction 81 wavelengths are too few; close to it, one point per order is.
+# Regime of |(u, v)|: far from the mirror direction, 81 wavelengths are too few. Close to it, one wavelength per order is too few.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])
@@ -265,7 +265,7 @@ def test_replicated_periods_near_resonance(periods, away):
 
 
 def test_the_published_form_of_replicated_periods():
-    """In float32 the published form has an error of 5 % at an angle wT of 1e-3, and is not finite at 1e-4."""
+    """In float32 the published ratio of sines has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
             methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)

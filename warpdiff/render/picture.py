@@ -131,7 +131,7 @@ class Picture:
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
-            # Sums of one light reuse the previous arrays, which a recorded graph reads.
+            # The sums of a single light stay in the same arrays, because a recorded CUDA graph reads them there.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 
     @property
@@ -175,7 +175,7 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
-        # Launches that need no host cannot stop for previews.
+        # A recorded graph runs all launches without the host, so that it cannot stop for previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:

@@ -131,10 +131,10 @@ class PictureInputs:
     """Checked inputs of pictures.
 
     Attributes:
-        evaluation: Evaluation that colours are computed by.
+        evaluation: Inputs of the colours: height field, coherence, materials, method, tolerance and device.
         settings: Settings of the call.
         lights: The lights.
-        parts: Parts of the lights.
+        parts: Parts that the lights consist of: lobes, discs and skies.
     """
 
     evaluation: Evaluation

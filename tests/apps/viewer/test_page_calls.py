@@ -35,7 +35,7 @@ def extremes(control):
 
 
 def scenes(files):
-    """Yield each control with the scenes for its extreme values; controls that it depends on make it visible."""
+    """Yield each control of the viewer with scenes that set it to its extreme values and that make it visible."""
     first = checked(files.controls, {"mesh": "snake", "surface": "fingers", "light": "directional"})
     for control in files.controls.values():
         shown = first | {name: values[0] for name, values in control.shown_if.items()}

@@ -1,4 +1,4 @@
-"""Function ``export_html``, which writes a web page without a server. The page shows a mesh with baked lobes."""
+"""Function ``export_html``, which writes a web page that needs no server. It shows a mesh by colours that are baked."""
 
 from __future__ import annotations
 

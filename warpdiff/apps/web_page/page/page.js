@@ -5,7 +5,7 @@
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// Number of frames that a picture at rest averages. Each of these frames is blurred by only this fraction of the pixel
+// Number of frames that a picture at rest averages. Each of these frames is blurred by only a fraction of the pixel
 // filter's standard deviation; the jittered positions of the frames make up the rest.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Time for the frames between two updates of a picture at rest [ms].
