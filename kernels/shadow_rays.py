@@ -44,7 +44,7 @@ class ShadowGrid:
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """Return a position in the axes of an occluder grid: two coordinates in units of a cell, and the height towards the light."""
+    """Return a position in the axes of an occluder grid: two in units of a cell, and the height."""
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)

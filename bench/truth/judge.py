@@ -40,7 +40,7 @@ LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions, with a mask of the directions that the planner used in its trial."""
+    """Results of a call for its illuminated directions, with a mask of those that the planner's trial used."""
 
     xyz: np.ndarray  # (n, 3)
     to_light: np.ndarray  # (n, 3)

@@ -179,8 +179,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     else:
         result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # The series has too few terms here. A trial cannot measure the error, because its reference uses the same series.
-        # The plan therefore states a bound of the amplitudes' error, converted to an error of the result.
+        # The series has too few terms here. A trial cannot measure the error, because its reference uses that series,
+        # too. The plan therefore states a bound of the amplitudes' error, converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
     refusals.check_error(heightfield, result, strict=request.strict)
@@ -188,7 +188,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def _method(request: Evaluation) -> str:
-    """Return the method of a request. An explicit ``integration`` without a ``method`` implies the low-rank expansion."""
+    """Return the method. An explicit ``integration`` without a ``method`` implies the low-rank expansion."""
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 

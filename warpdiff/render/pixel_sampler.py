@@ -78,7 +78,8 @@ class PixelSampler:
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
         """Return the rays of all pixels as a batch whose colours are added to ``sums``.
 
-        ``deviation`` is the standard deviation of the pixel filter, in pixels."""
+        ``deviation`` is the standard deviation of the pixel filter, in pixels.
+        """
         unserved_gain = self._no_gains if unserved_gain is None else unserved_gain
         return RayBatch(
             self._context.rays.gbuffer, self.samples, sums.xyz, sums.coverage, sums.illuminated, unserved_gain,
