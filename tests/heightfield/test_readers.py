@@ -13,6 +13,7 @@ from conftest import noise, write_image
 
 from warpdiff.heightfield import readers
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.readers import reader_registry
 
 
 def write_channels(path: Path, samples: np.ndarray, channels: int = 1) -> None:
@@ -138,7 +139,7 @@ def test_heights_that_are_refused_name_the_file(tmp_path):
 
 
 def test_a_registered_suffix_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readers, "_readers", readers._readers.copy())
+    monkeypatch.setattr(reader_registry, "_readers", reader_registry._readers.copy())
 
     @readers.register_reader(".spm", ".Probe")
     def read_lines(file: Path) -> readers.FileContent:

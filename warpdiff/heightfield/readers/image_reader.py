@@ -1,0 +1,65 @@
+"""Reader of grey images, by OpenImageIO."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import openimageio
+from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Memory at the peak while an image is read [bytes per sample], as measured. A doubled value refuses images that fit.
+_BYTES_PER_SAMPLE = 28.0
+
+
+@register_reader(
+    ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
+    ".dpx", ".fits", ".gif", ".psd", title="grey image of 8 or 16 bit, or of floats",
+    states="integers: you state the height of the full scale and the pitch; floats: µm, you state the pitch",
+)  # fmt: skip
+def read_image(file: Path) -> FileContent:
+    """Read a grey image without a conversion of its samples."""
+    with openimageio.in_use() as oiio:
+        # PFM stores the bottom row first. Other formats ignore the attribute.
+        configuration = oiio.ImageSpec()
+        configuration.attribute("pnm:pfmflip", 1)
+        image = oiio.ImageInput.open(str(file), configuration)
+        if image is None:
+            raise refusal(
+                file,
+                f"cannot be read as an image ({_reason(oiio)}); give a grey image, .npy, .npz, .x3p, a text, or a file "
+                "of an instrument with a suffix of the table of formats",
+            )
+        try:
+            return FileContent(_samples_of(image, file))
+        finally:
+            image.close()
+
+
+def _samples_of(image: Any, file: Path) -> np.ndarray:
+    """Return the samples of an open file, which must contain one grey image."""
+    spec = image.spec()
+    channels = spec.nchannels
+    if channels != 1:
+        kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
+        raise refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
+    require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
+    # "unknown" selects the type of the file, which avoids a conversion.
+    samples = image.read_image("unknown")
+    if samples is None or image.has_error:
+        raise refusal(file, f"is damaged ({_reason(image)}); export the image again")
+    if image.seek_subimage(1, 0):
+        raise refusal(file, "contains several images; save the one with the heights alone")
+    return np.asarray(samples)[..., 0]
+
+
+def _reason(source: Any) -> str:
+    """Return the last message of OpenImageIO as one line; it may contain bytes of the file that are not text."""
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"

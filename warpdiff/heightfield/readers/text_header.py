@@ -1,0 +1,313 @@
+"""Facts of the header of a text export: sizes and pitches with their units, unit of heights, channel, columns."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from warpdiff.heightfield.readers import length_units
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from warpdiff.heightfield.readers.text_table import Form
+
+# Number of header lines that are searched: the last ones before the numbers.
+_MOST_LINES = 400
+# Length of a line above which it is no statement.
+_MOST_LENGTH = 400
+_NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
+_UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
+_PER_PIXEL = r"\s*/\s*(?:pixel|pix|px|sample|samples|pt|point)\b"
+# A key with a number and perhaps a unit: "Width: 10 µm", "pixel size=0.1 um", "XY calibration 277.3 nm/pixel".
+_STATEMENT = re.compile(
+    rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=\t;]\s*(?P<number>{_NUMBER})(?![\w.,]*[.:/]\d)"
+    rf"(?:\s*[;,\t]?\s*[\[(]?(?P<unit>{_UNIT})[\])]?(?P<per>{_PER_PIXEL})?)?"
+)
+_SPACED = re.compile(rf"(?P<key>[^\W\d_][^:=;\t\d]*?)\s+(?P<number>{_NUMBER})\s*(?P<unit>{_UNIT})(?P<per>{_PER_PIXEL})?$")
+# A key with two numbers: "Scan size: 10 x 8 µm", "Size = 10 µm × 8 µm".
+_PAIR = re.compile(
+    rf"(?P<key>[^\W\d_][^:=]*?)\s*[:=]\s*(?P<x>{_NUMBER})\s*(?P<unit_x>{_UNIT})?\s*(?:[x×*]|by)\s*(?P<y>{_NUMBER})\s*"
+    rf"(?P<unit_y>{_UNIT})\b"
+)
+_WORD = re.compile(rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=;\t]\s*(?P<unit>{_UNIT}|\[[^\]]+\])\s*;*$")
+_FACTOR = re.compile(rf"height conversion factor\s*\(\s*-?>?\s*(?P<unit>{_UNIT})\s*\)\s*[:=]\s*(?P<number>{_NUMBER})", re.IGNORECASE)
+_HEIGHTS_IN = re.compile(
+    rf"(?:\b(?:z|heights?|höhen?|hauteurs?|altezz[ae]|alturas?|topography|depths?|elevations?|values?|data)\b)"
+    rf"[^\[(\d]{{0,30}}(?:[\[(]\s*(?P<bracket>{_UNIT})\s*[\])]|\bin\s+(?P<word>{_UNIT}))",
+    re.IGNORECASE,
+)
+_CHANNEL = re.compile(r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|通道)\s*[:=;,\t]\s*(?P<name>.+)", re.IGNORECASE)
+_IN_KEY = re.compile(rf"[\[(]\s*(?P<unit>{_UNIT})\s*(?P<per>{_PER_PIXEL})?\s*[\])]")
+_COLUMN = re.compile(rf"^(?P<axis>[xyz])\b|^(?P<other>[xyz])_", re.IGNORECASE)
+
+_WIDTH = frozenset(
+    "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség|"
+    "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x|"
+    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width".split("|")
+)
+_HEIGHT = frozenset(
+    "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság|korkeus|"
+    "高さ|高度|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y|"
+    "y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height".split("|")
+)
+_BOTH_SIZES = frozenset(
+    "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area".split("|")
+)
+_PITCH_X = frozenset(
+    "pixel size x|x pixel size|pixel width|dx|x step|step x|x step size|step size x|x pitch|pitch x|x spacing|spacing x|"
+    "x increment|increment x|x-increment|x sampling|sampling x|x interval|xpixelsize|pixelsizex".split("|")
+)
+_PITCH_Y = frozenset(name.replace("x", "y") if name != "pixel width" else "pixel height" for name in _PITCH_X) - {
+    "piyel size y", "y piyel size",
+} | {"pixel size y", "y pixel size", "ypixelsize", "pixelsizey"}  # fmt: skip
+_BOTH_PITCHES = frozenset(
+    "pixel size|pixelsize|pixel pitch|pitch|sampling|lateral sampling|sampling interval|sampling distance|sample spacing|"
+    "spacing|point spacing|grid spacing|step|step size|increment|xy calibration|xy-calibration|xy-justierung|calibration|"
+    "dxy|camera res|camera resolution|pixelgröße|taille de pixel".split("|")
+)
+_COUNTS_X = frozenset(
+    "w|nx|width|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres|"
+    "samples/line|points x|x points|x samples|xdim".split("|")
+)
+_COUNTS_Y = frozenset(
+    "h|ny|height|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres|"
+    "points y|y points|y samples|ydim".split("|")
+)
+_UNITS_Z = frozenset(
+    "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units|"
+    "heightunit|unit of height|unit of heights|data unit|data units|einheit|z einheit|höheneinheit|unité|unités|unità|"
+    "unidad|unidades|z-axis unit|z axis unit|heights|values|z".split("|")
+)
+_UNITS_XY = frozenset("x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y".split("|"))
+_GLOBAL_UNITS = frozenset({"unit", "units", "einheit"})
+
+
+@dataclass
+class Facts:
+    """Facts of a header; lengths in µm, None if they are not stated.
+
+    Attributes:
+        size_x: Width.
+        size_y: Height of the field.
+        pitch_x: Distance of samples along x.
+        pitch_y: Distance of samples along y.
+        count_x: Number of columns.
+        count_y: Number of rows.
+        units: Sizes of units of the heights that are stated; one is required, and several contradict each other.
+        not_length: A unit of the heights that is no length; an empty string if there is none.
+        factor: Size of a unit of the numbers, by a conversion factor.
+        lateral: Size of the unit of numbers along x and y.
+        global_unit: Size of the unit of all numbers, if there is one.
+        channel: Name of the channel; an empty string if it is not stated.
+        metadata: Lines "key: value", as text.
+    """
+
+    size_x: float | None = None
+    size_y: float | None = None
+    pitch_x: float | None = None
+    pitch_y: float | None = None
+    count_x: int | None = None
+    count_y: int | None = None
+    units: set[float] = field(default_factory=set)
+    not_length: str = ""
+    factor: float | None = None
+    lateral: float | None = None
+    global_unit: float | None = None
+    channel: str = ""
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether a size or a pitch is stated."""
+        return None not in (self.size_x, self.size_y) or None not in (self.pitch_x, self.pitch_y)
+
+    @property
+    def unit(self) -> float | None:
+        """Size of the unit of heights [µm]; None if it is not stated, or stated in two ways."""
+        if self.factor is not None:
+            return self.factor
+        return next(iter(self.units)) if len(self.units) == 1 else None
+
+
+def value_of(text: str) -> float:
+    """Return the number of a header, whose decimal sign may be a comma."""
+    return float(text.replace(",", ".").upper().replace("D", "E"))
+
+
+def facts_of(header: Sequence[str], form: Form) -> Facts:
+    """Return the facts of header lines."""
+    facts = Facts()
+    lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= _MOST_LENGTH]
+    for line in lines:
+        _add_unit(facts, line)
+    unnamed: list[tuple[int, float]] = []
+    for index, line in enumerate(lines):
+        key, _, value = line.partition(":") if ":" in line else line.partition("=")
+        if value.strip():
+            facts.metadata.setdefault(key.strip(), value.strip())
+        if (match := _CHANNEL.match(line)) and not facts.channel:
+            facts.channel = match["name"].strip().strip('"')[:60]
+        if pair := _PAIR.match(line):
+            _add_pair(facts, pair)
+            continue
+        matches = list(_STATEMENT.finditer(line)) or [match for match in [_SPACED.match(line)] if match]
+        for match in matches:
+            length = _add_number(facts, match)
+            if length is not None and len(matches) == 1:
+                unnamed.append((index, length))
+    # Gwyddion translates "Width" and "Height": two lines in a row, and no other line has a length.
+    if not facts.has_scale and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
+        facts.size_x, facts.size_y = unnamed[0][1], unnamed[1][1]
+    return facts
+
+
+def _plain(line: str, form: Form) -> str:
+    """Return a header line without comment signs and quotes; cells of a key, a value and a unit are joined."""
+    line = line.strip().lstrip("#%;/*'!\\ \t").strip()
+    if form.separator in (",", ";", "\t") and form.separator in line:
+        cells = [cell.strip('"') for cell in form.cells(line)]
+        filled = [cell for cell in cells if cell]
+        if len(filled) in (2, 3) and not any(sign in filled[0] for sign in ":="):
+            return f"{filled[0]}: {' '.join(filled[1:])}"
+    return line.replace('"', "")
+
+
+def _words(key: str) -> str:
+    """Return a key for comparison, without units in brackets."""
+    return " ".join(_IN_KEY.sub("", key).replace("_", " ").lower().strip(" ,;-").split())
+
+
+def _add_unit(facts: Facts, line: str) -> None:
+    """Add the unit of heights, or of lengths along x and y, that a line states."""
+    if match := _FACTOR.search(line):
+        unit = length_units.factor_of(match["unit"])
+        if unit is not None:
+            facts.factor = unit * value_of(match["number"])
+        return
+    if match := _WORD.match(line):
+        key, text = _words(match["key"]), match["unit"]
+        unit = length_units.factor_of(text)
+        if key in _UNITS_XY and unit is not None:
+            facts.lateral = unit
+        elif key in _UNITS_Z:
+            if unit is None:
+                facts.not_length = text if not facts.not_length else facts.not_length
+            else:
+                facts.units.add(unit)
+                if key in _GLOBAL_UNITS:
+                    facts.global_unit = unit
+        return
+    # WSxM states the range of heights, in their unit.
+    if match := re.match(rf"z amplitude\s*:\s*{_NUMBER}\s*({_UNIT})$", line, re.IGNORECASE):
+        unit = length_units.factor_of(match[1])
+        if unit is None:
+            facts.not_length = match[1]
+        else:
+            facts.units.add(unit)
+        return
+    for match in _HEIGHTS_IN.finditer(line):
+        text = match["bracket"] or match["word"]
+        unit = length_units.factor_of(text)
+        # "Height [µm]: 10" is a size.
+        if unit is not None and not re.search(r"[:=]\s*[-+\d.,]+\s*$", line):
+            facts.units.add(unit)
+
+
+def _add_pair(facts: Facts, match: re.Match[str]) -> None:
+    """Add the sizes or pitches along x and y of a line with two numbers."""
+    key = _words(match["key"])
+    unit_y = length_units.factor_of(match["unit_y"])
+    unit_x = unit_y if match["unit_x"] is None else length_units.factor_of(match["unit_x"])
+    if unit_x is None or unit_y is None:
+        return
+    x, y = unit_x * value_of(match["x"]), unit_y * value_of(match["y"])
+    if key in _BOTH_SIZES:
+        facts.size_x, facts.size_y = x, y
+    elif key in _BOTH_PITCHES:
+        facts.pitch_x, facts.pitch_y = x, y
+
+
+def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
+    """Add a number with its key; returns the length [µm] if its key is not known."""
+    inner = _IN_KEY.search(match["key"])
+    text = match["unit"] or (inner["unit"] if inner else None)
+    key, number = _words(match["key"]), value_of(match["number"])
+    unit = facts.lateral if text is None else length_units.factor_of(text)
+    if text is None and number == int(number) and 0 < number < 2**31:
+        if key in _COUNTS_X and (facts.lateral is None or key not in _WIDTH):
+            facts.count_x = int(number)
+            return None
+        if key in _COUNTS_Y and (facts.lateral is None or key not in _HEIGHT):
+            facts.count_y = int(number)
+            return None
+    if unit is None or not number > 0.0:
+        return None
+    length = unit * number
+    per_pixel = match["per"] or (inner["per"] if inner else None)
+    if key in _WIDTH and not per_pixel:
+        facts.size_x = length
+    elif key in _HEIGHT and not per_pixel:
+        facts.size_y = length
+    elif key in _PITCH_X:
+        facts.pitch_x = length
+    elif key in _PITCH_Y:
+        facts.pitch_y = length
+    elif key in _BOTH_PITCHES or per_pixel:
+        facts.pitch_x, facts.pitch_y = facts.pitch_x or length, facts.pitch_y or length
+    elif key in _BOTH_SIZES:
+        facts.metadata.setdefault("_size", str(length))
+    elif text is not None:
+        return length
+    return None
+
+
+@dataclass
+class Columns:
+    """Columns of x, y and z, with the sizes of their units [µm], None for a column without a unit."""
+
+    positions: tuple[int, int, int]
+    units: tuple[float | None, float | None, float | None]
+
+
+def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
+    """Return the columns that header lines name x, y and z; None if they name none."""
+    lines = [line for line in header[-3:] if len(line) <= _MOST_LENGTH]
+    for index in range(len(lines) - 1, -1, -1):
+        for cells in _cells(lines[index], form):
+            axes = {}
+            for position, cell in enumerate(cells):
+                match = _COLUMN.match(cell)
+                if match:
+                    axes.setdefault((match["axis"] or match["other"]).lower(), position)
+                elif re.match(r"(?:height|höhe|hauteur)\b", cell, re.IGNORECASE):
+                    axes.setdefault("z", position)
+            if set(axes) == set("xyz") and len(cells) <= width:
+                below = next(iter(_cells(lines[index + 1], form)), []) if index + 1 < len(lines) else []
+                texts = below if len(below) == len(cells) else cells
+                positions = axes["x"], axes["y"], axes["z"]
+                x, y, z = (_unit_of_cell(texts[k], is_alone=texts is below) for k in positions)
+                return Columns(positions, (x, y, z))
+    return None
+
+
+def _cells(line: str, form: Form) -> Iterator[list[str]]:
+    """Return the cells of a header line, by the separator of the numbers and by other ones."""
+    line = line.strip().lstrip("#%;/*'!\\ \t").strip()
+    if form.separator is not None:
+        yield [cell.strip('" ') for cell in form.cells(line)]
+    for separator in (";", ",", "\t"):
+        if separator in line:
+            yield [cell.strip('" ') for cell in line.split(separator) if cell.strip()]
+    # "X [nm] Y [nm] Z [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
+    joined = re.sub(r"\s*(?:/|\bin\b)\s*", "/", re.sub(r"\s+([\[(])", r"\1", line))
+    yield joined.split()
+
+
+def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
+    """Return the size [µm] of the unit in the name of a column; None if there is none."""
+    if is_alone:
+        return length_units.factor_of(cell)
+    match = re.search(rf"[\[(/_,]\s*({_UNIT})\s*[\])]?$|\bin\s+({_UNIT})$|\s({_UNIT})$", cell)
+    return length_units.factor_of(next(filter(None, match.groups()))) if match else None

@@ -1,0 +1,259 @@
+"""Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
+
+One rule reads all exports: separator and decimal sign by counting, units from the header. Units are never guessed.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import memory
+from warpdiff.heightfield.readers import text_header, text_table
+from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from warpdiff.heightfield.readers.reader_registry import Channels
+    from warpdiff.heightfield.readers.text_header import Columns, Facts
+    from warpdiff.heightfield.readers.text_table import Block, Form
+
+# Memory at the peak while a text is read, per byte of the text: letters, lines and numbers, as measured. A doubled
+# value refuses texts that fit.
+_BYTES_PER_LETTER = 8.0
+# Number of rows above which three columns without a header are no scan: its width would be three samples.
+_MOST_NARROW_ROWS = 9
+# Smallest share of the points of a grid that a file of points must have.
+_LEAST_FILLED = 0.5
+# Number of rows and columns from which a first one of consecutive integers is taken for numbers of rows.
+_LEAST_NUMBERED = 4
+
+
+@register_reader(
+    ".txt", ".csv", ".tsv", ".asc", ".xyz", ".dat", ".gz", title="text: matrix, or points x, y, z",
+    states="sizes and units if its header has them; you state the others", recognises=text_table.is_text,
+)  # fmt: skip
+def read_text(file: Path) -> FileContent | Channels:
+    """Read a matrix of heights, several ones, or points on a grid."""
+    most = int(min(text_table.MOST_BYTES, memory.available() / _BYTES_PER_LETTER))
+    data = text_table.unpacked(file, most)
+    if len(data) > most:
+        raise refusal(file, f"has more than {most} bytes of text; save it as .npy")
+    lines = text_table.lines_of(text_table.decode(data))
+    form = text_table.form_of(lines)
+    if form is None:
+        raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")
+    blocks = text_table.blocks_of(lines, form)
+    largest = max(blocks, key=lambda block: block.values.size)
+    same = [block for block in blocks if block.values.shape == largest.values.shape and block.values.size > 1]
+    if min(largest.values.shape) < 2:
+        same = [largest]
+    channels: dict[str, Callable[[], FileContent]] = {}
+    for number, block in enumerate(same, 1):
+        read = functools.partial(_content, file, block, form, blocks[0].header)
+        name = text_header.facts_of(block.header, form).channel
+        if len(same) == 1 and not name:
+            return read()
+        name = name or f"matrix {number}"
+        channels[name if name not in channels else f"{name} ({number})"] = read
+    return channels
+
+
+def _content(file: Path, block: Block, form: Form, first_header: list[str]) -> FileContent:
+    """Return the heights of a block of numbers."""
+    _check_block(file, block, form)
+    facts = text_header.facts_of(block.header, form)
+    if not facts.has_scale and first_header is not block.header:
+        first = text_header.facts_of(first_header, form)
+        facts.size_x, facts.size_y, facts.pitch_x, facts.pitch_y = first.size_x, first.size_y, first.pitch_x, first.pitch_y
+        facts.units |= set() if facts.units or facts.factor else first.units
+    values = block.values
+    zygo = _zygo_pitch(block)
+    columns = text_header.columns_of(block.header, form, values.shape[1])
+    if columns is None and values.shape[1] in (3, 4) and not facts.has_scale:
+        columns = text_header.Columns((0, 1, 2), (None, None, None))
+        is_named = zygo is not None
+    else:
+        is_named = columns is not None
+    if columns is not None and (points := _of_points(file, values, columns, facts, zygo, is_named=is_named)):
+        return points
+    if len(block.parts) > 1 and max(block.parts) > 1:
+        raise refusal(
+            file, f"has {len(block.parts)} blocks of numbers with blank lines between; keep one, or remove the lines"
+        )
+    return _of_matrix(file, block, form, facts)
+
+
+def _check_block(file: Path, block: Block, form: Form) -> None:
+    """Refuse rows that contradict each other."""
+    width = block.values.shape[1]
+    if block.odd_cell:
+        cell, line = block.odd_cell
+        raise refusal(file, f"has {cell[:20]!r} among the numbers of line {line}; write NaN for a missing sample")
+    if block.is_cut and len(block.values) > 1:
+        raise refusal(
+            file, f"has rows of unequal lengths: line {block.line + len(block.values)} does not have {width} numbers"
+        )
+    if block.header and width > 2:
+        cells = form.cells(block.header[-1])
+        odd = [cell for cell in cells if form.number(cell) is None]
+        if len(cells) == width and odd and odd != cells[:1] and 2 * len(odd) <= width:
+            raise refusal(file, f"has {odd[0][:20]!r} among the numbers of its first row; write NaN for a missing sample")
+
+
+def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileContent:
+    """Return the heights of a matrix."""
+    values, label_pitch = _without_labels(file, block, form)
+    ny, nx = values.shape
+    measured = int(np.count_nonzero(np.isfinite(values).any(axis=0)))
+    if ny < 2 or measured < 3:
+        raise refusal(
+            file, f"is a profile or a list, with numbers of shape {block.values.shape}; a matrix or points x, y, z are read"
+        )
+    if not facts.has_scale and (nx == 3 < _MOST_NARROW_ROWS < ny or (nx <= 4 and _has_headings(block, form))):
+        raise refusal(file, f"has {nx} columns, which are neither a matrix nor points x, y, z on an even grid")
+    for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
+        if count is not None and count != actual and not (facts.count_x == ny and facts.count_y == nx):
+            raise refusal(file, f"has {actual} {name}, and its header states {count}; export it again")
+    if facts.not_length and facts.unit is None:
+        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+    is_wsxm = any("WSxM" in line for line in block.header)
+    # The matrix of WSxM has x from right to left, and y from the bottom to the top.
+    samples = values[::-1, ::-1] if is_wsxm else values
+    pitch = _pitch_of(facts, nx, ny)
+    unit = facts.unit
+    return FileContent(
+        np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
+        rows="down" if pitch is None and label_pitch is None else "up", has_unit=unit is not None,
+        pitch_in_unit=label_pitch if pitch is None else None, metadata=_metadata(facts),
+    )  # fmt: skip
+
+
+def _has_headings(block: Block, form: Form) -> bool:
+    """Whether the line above the numbers has a word for each column."""
+    cells = form.cells(block.header[-1]) if block.header else []
+    return len(cells) == block.values.shape[1] and all(form.number(cell) is None for cell in cells)
+
+
+def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
+    """Return the pitch (dy, dx) [µm] that a header states."""
+    dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
+    dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
+    size = facts.metadata.get("_size")
+    # One size for both axes is clear only if they have equally many samples.
+    if size is not None and nx == ny:
+        dx, dy = dx or float(size) / nx, dy or float(size) / ny
+    return None if dx is None or dy is None else (dy, dx)
+
+
+def _metadata(facts: Facts) -> dict[str, str]:
+    """Return the lines of a header as text by key."""
+    return {key: value for key, value in facts.metadata.items() if key != "_size"}
+
+
+def _without_labels(
+    file: Path, block: Block, form: Form
+) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Return the values of a matrix without numbers of rows and columns, and the pitch of coordinates."""
+    values = block.values
+    above = form.cells(block.header[-1]) if block.header else []
+    if min(values.shape) < _LEAST_NUMBERED:
+        return values, None
+    first = values[0]
+    if math.isnan(first[0]) and (x := text_table.even_steps(first[1:])) and (y := text_table.even_steps(values[1:, 0])):
+        # A corner without a number, positions along x in the first row and along y in the first column.
+        if not _is_ordered(first[1:]) or not _is_ordered(values[1:, 0]) or len(x[0]) != len(first) - 1:
+            return values, None
+        inner = values[1:, 1:][:: 1 if values[-1, 0] < values[1, 0] else -1]
+        is_counted = x[1] == 1.0 and y[1] == 1.0
+        # Numbers of rows begin at the top, and coordinates grow upwards.
+        return (values[1:, 1:], None) if is_counted else (inner, (y[1], x[1]))
+    if not np.array_equal(values[:, 0], values[0, 0] + np.arange(len(values))) or values[0, 0] not in (0.0, 1.0):
+        return values, None
+    if len(above) in (values.shape[1], values.shape[1] - 1) and not any(sign in block.header[-1] for sign in ":="):
+        return values[:, 1:], None
+    if np.any(values[:, 1:] % 1.0 != 0.0) and len(values) >= 2 * _LEAST_NUMBERED:
+        raise refusal(file, "has a first column that numbers the rows; remove it")
+    return values, None
+
+
+def _is_ordered(values: np.ndarray) -> bool:
+    """Whether values grow or fall steadily."""
+    steps = np.diff(values)
+    return bool(np.all(steps > 0.0) or np.all(steps < 0.0))
+
+
+def _zygo_pitch(block: Block) -> float | None:
+    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if it has none; None for other files.
+
+    The seventh number of its eighth line is the size in m. The unit of its heights is a setting of the program.
+    """
+    lines = [line for line in block.header if line.strip()]
+    if not lines or not lines[0].strip().startswith("Zygo XYZ Data File"):
+        return None
+    for line in lines[4:9]:
+        cells = line.split()
+        if len(cells) == 8 and all(re.fullmatch(r"[-+.\deE]+", cell) for cell in cells):
+            return 1e6 * max(float(cells[6]), 0.0)
+    return 0.0
+
+
+def _of_points(
+    file: Path, values: np.ndarray, columns: Columns, facts: Facts, zygo: float | None, *, is_named: bool
+) -> FileContent | None:
+    """Return the heights of points on an even grid; None if the columns are no points and are not named so."""
+    x, y, z = (values[:, position] for position in columns.positions)
+    positions = _grid(file, x, y, is_named=is_named)
+    if positions is None:
+        return None
+    (at_x, dx), (at_y, dy) = positions
+    column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
+    heights = np.full((len(at_y), len(at_x)), np.nan)
+    heights[row, column] = z
+    # The rows of a picture go from the largest y to the smallest; a camera numbers its rows from the top.
+    heights = heights if zygo is not None else heights[::-1]
+    unit_x, unit_y, unit_z = columns.units
+    if unit_x is None and unit_y is None:
+        unit_x = unit_y = facts.lateral or facts.global_unit
+    unit_z = unit_z or facts.unit
+    if facts.not_length and unit_z is None:
+        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+    pitch, own = None, None
+    if zygo is not None:
+        pitch = (zygo * dy, zygo * dx) if zygo else None
+    elif unit_x is not None and unit_y is not None:
+        pitch = unit_y * dy, unit_x * dx
+    else:
+        own = dy, dx
+    return FileContent(
+        heights if unit_z is None else unit_z * heights, pitch, rows="up", has_unit=unit_z is not None,
+        pitch_in_unit=own, metadata=_metadata(facts),
+    )  # fmt: skip
+
+
+def _grid(
+    file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
+) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
+    """Return positions and steps of an even grid of points along x and y; None, or an error, if there is none."""
+    def none(reason: str) -> None:
+        if is_named:
+            raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
+
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        return none("without a position")
+    along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
+    if along_x is None or along_y is None:
+        return none("on no even grid")
+    nx, ny = len(along_x[0]), len(along_y[0])
+    if not len(x) >= _LEAST_FILLED * nx * ny:
+        return none(f"at {len(x)} of the {nx} × {ny} positions of a grid")
+    nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
+    if len(np.unique(nodes)) < len(nodes):
+        return none("at equal positions")
+    return along_x, along_y
