@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 # Errors of the file system that concern a path of the user; a full disk is a failure.
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = (
-    "scan, or a synthetic height field: an image (8 or 16 bit grey, or float), .npy or .npz; or one of "
+    "scan, or a synthetic height field: an image (8 or 16 bit grey, or float), .npy, .npz, a text, .x3p or a file of "
+    "an instrument; or one of "
     f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings as in fingers:size_um=25.6,seed=3, where "
     "pairs are 2.0x1.0"
 )
@@ -181,7 +182,7 @@ def _add_sequence(flags: Flags) -> None:
 
 
 def _add_brdf(flags: Flags) -> None:
-    _add_height_field(flags)
+    _add_height_field(flags, has_position=True)
     _add_evaluation(flags, EvaluationSettings)
     _add_saving(flags)
     _add_output(flags)
@@ -208,7 +209,7 @@ def _add_export_html(flags: Flags) -> None:
 
 
 def _add_info(flags: Flags) -> None:
-    _add_height_field(flags)
+    _add_height_field(flags, has_position=True)
     flags.add(flags.parser, describe(EvaluationSettings), only=("tolerance",))
 
 
@@ -244,14 +245,19 @@ def _add_picture(flags: Flags, settings: type) -> None:
     _add_saving(flags)
 
 
-def _add_height_field(flags: Flags, *, default: str | None = None, several: bool = False) -> None:
+def _add_height_field(
+    flags: Flags, *, default: str | None = None, several: bool = False, has_position: bool = False
+) -> None:
     group = flags.group("height field")
+    if has_position:
+        flags.parser.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
     how: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []} if several else {"default": default}
     group.add_argument(
-        "--heightfield", metavar="HEIGHTFIELD", required=default is None and not several,
+        "--heightfield", metavar="HEIGHTFIELD", required=default is None and not (several or has_position),
         help=_HEIGHT_FIELD_HELP + (f" (default: {default})" if default else ""), **how,
     )  # fmt: skip
-    flags.add(group, describe(wd.HeightField.load), only=("extent_um", "pitch_um", "height_range_um"))
+    loading = ("extent_um", "pitch_um", "height_range_um", "channel", "rows", "unit")
+    flags.add(group, describe(wd.HeightField.load), only=loading)
     group.add_argument(
         "--level", type=integer, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)"
     )
@@ -365,7 +371,8 @@ _COMMANDS = {
     ),
     "info": _Command(
         "describe a height field, and what an evaluation of it would compute",
-        "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
+        "warpdiff info scan.x3p --level 1\n"
+        "  warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
         _add_info, cli_commands.info,
     ),
     "view": _Command(

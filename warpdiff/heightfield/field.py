@@ -177,7 +177,7 @@ class HeightField:
 
     @classmethod
     def channels(cls, path: str | os.PathLike[str]) -> tuple[str, ...]:
-        """List the channels of heights in a file, the default one first.
+        r"""List the channels of heights in a file, the default one first.
 
         Args:
             path: Path of a file of heights.
@@ -192,7 +192,7 @@ class HeightField:
         Examples:
             >>> import pathlib, tempfile
             >>> file = pathlib.Path(tempfile.mkdtemp()) / "scan.txt"
-            >>> table = "# Channel: {}\\n# Width: 3 µm\\n# Height: 2 µm\\n# Value units: nm\\n1 2 3\\n4 5 6\\n"
+            >>> table = "# Channel: {}\n# Width: 3 µm\n# Height: 2 µm\n# Value units: nm\n1 2 3\n4 5 6\n"
             >>> _ = file.write_text(table.format("Trace") + table.format("Retrace"), encoding="utf-8")
             >>> wd.HeightField.channels(file)
             ('Trace', 'Retrace')
@@ -228,7 +228,9 @@ class HeightField:
                 f"{ref('topography')} must have a size and a unit, got size {topography.physical_sizes} and unit "
                 f"{topography.unit!r}; pass its heights to HeightField"
             )
-        return cls._of_content(content, "", "", content.samples, content.pitch_um, reader_registry.rows_of(content, rows))
+        return cls._of_content(
+            content, "", "", content.samples, content.pitch_um, reader_registry.rows_of(content, rows)
+        )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the height field to a NumPy ``.npz`` file, which :meth:`load` restores exactly.

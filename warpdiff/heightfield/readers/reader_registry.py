@@ -25,6 +25,9 @@ Rows = Literal["down", "up"]
 # Extent above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers that confuse units
 # give such sizes. If doubled, one more factor of two of wrong sizes passes.
 _MOST_EXTENT_UM = 1e6
+# Relative difference of the pitch of a file from the one that is stated, up to which they agree: headers are rounded. If
+# doubled, arguments that contradict a file slightly more are ignored.
+_MOST_DIFFERENCE = 1e-3
 # Number of channels that an error lists; more make it unreadable.
 _MOST_NAMES = 12
 
@@ -104,7 +107,8 @@ _FALLBACK = ".png"
 
 
 def register_reader(
-    *suffixes: str, title: str = "", states: str = "", recognises: Callable[[Path], bool] | None = None, extra: str = "",
+    *suffixes: str, title: str = "", states: str = "", recognises: Callable[[Path], bool] | None = None,
+    extra: str = "",
 ) -> Callable[[Reader], Reader]:  # fmt: skip
     """Register the decorated function as the reader of files with these suffixes, for `HeightField.load`.
 
@@ -294,8 +298,11 @@ def pitch_of(
         factor = length_units.factor_um(unit, "unit")
         own = content.pitch_in_unit[0] * factor, content.pitch_in_unit[1] * factor
     if own is not None:
-        if names:
-            raise ArgumentValueError(f"{ref(names[0])} must not be given: {str(file)!r} states its own pitch")
+        if names and not _agrees(content, own, extent_um, pitch_um):
+            pitch = " × ".join(f"{step:.6g}" for step in validation.pair(own, "path"))
+            raise ArgumentValueError(
+                f"{ref(names[0])} must not be given: {str(file)!r} states its own pitch, {pitch} µm (y × x)"
+            )
         if validation.is_sequence(own) and len(own) == 2 and _is_too_large((ny, nx), own):
             size = " × ".join(f"{1e-6 * n * float(step):.3g}" for n, step in zip((ny, nx), own, strict=True))  # type: ignore[arg-type]
             raise refusal(file, f"states a size of {size} m, beyond any instrument; export it in another format")
@@ -305,8 +312,28 @@ def pitch_of(
             f"exactly one of {ref('extent_um')} (size of the field) and {ref('pitch_um')} (distance of the samples) "
             f"must be given, got {'both' if names else 'neither'}"
         )
+    return _stated_pitch((ny, nx), extent_um, pitch_um)
+
+
+def _agrees(
+    content: FileContent, own: object, extent_um: float | tuple[float, float] | None,
+    pitch_um: float | tuple[float, float] | None,
+) -> bool:  # fmt: skip
+    """Whether the pitch of a file is also the one that the arguments state; files of `HeightField.save` need none."""
+    if content.is_known_scale or (extent_um is not None and pitch_um is not None):
+        return False
+    stated = _stated_pitch(content.samples.shape, extent_um, pitch_um)
+    pairs = zip(validation.pair(stated, "pitch_um"), validation.pair(own, "path"), strict=True)
+    return all(abs(value - step) <= _MOST_DIFFERENCE * step for value, step in pairs)
+
+
+def _stated_pitch(
+    shape: tuple[int, ...], extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None
+) -> float | tuple[float, float]:
+    """Return the pitch [µm] that one of the arguments states."""
     if pitch_um is not None:
         return validation.pair(pitch_um, "pitch_um")
+    ny, nx = shape
     if validation.is_sequence(extent_um):
         size = validation.pair(extent_um, "extent_um")
         return size[0] / ny, size[1] / nx

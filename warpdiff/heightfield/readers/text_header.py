@@ -25,63 +25,81 @@ _STATEMENT = re.compile(
     rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=\t;]\s*(?P<number>{_NUMBER})(?![\w.,]*[.:/]\d)"
     rf"(?:\s*[;,\t]?\s*[\[(]?(?P<unit>{_UNIT})[\])]?(?P<per>{_PER_PIXEL})?)?"
 )
-_SPACED = re.compile(rf"(?P<key>[^\W\d_][^:=;\t\d]*?)\s+(?P<number>{_NUMBER})\s*(?P<unit>{_UNIT})(?P<per>{_PER_PIXEL})?$")
+_SPACED = re.compile(
+    rf"(?P<key>[^\W\d_][^:=;\t\d]*?)\s+(?P<number>{_NUMBER})\s*(?P<unit>{_UNIT})(?P<per>{_PER_PIXEL})?$"
+)
 # A key with two numbers: "Scan size: 10 x 8 µm", "Size = 10 µm × 8 µm".
 _PAIR = re.compile(
     rf"(?P<key>[^\W\d_][^:=]*?)\s*[:=]\s*(?P<x>{_NUMBER})\s*(?P<unit_x>{_UNIT})?\s*(?:[x×*]|by)\s*(?P<y>{_NUMBER})\s*"
     rf"(?P<unit_y>{_UNIT})\b"
 )
 _WORD = re.compile(rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=;\t]\s*(?P<unit>{_UNIT}|\[[^\]]+\])\s*;*$")
-_FACTOR = re.compile(rf"height conversion factor\s*\(\s*-?>?\s*(?P<unit>{_UNIT})\s*\)\s*[:=]\s*(?P<number>{_NUMBER})", re.IGNORECASE)
+_FACTOR = re.compile(
+    rf"height conversion factor\s*\(\s*-?>?\s*(?P<unit>{_UNIT})\s*\)\s*[:=]\s*(?P<number>{_NUMBER})", re.IGNORECASE
+)
 _HEIGHTS_IN = re.compile(
     rf"(?:\b(?:z|heights?|höhen?|hauteurs?|altezz[ae]|alturas?|topography|depths?|elevations?|values?|data)\b)"
     rf"[^\[(\d]{{0,30}}(?:[\[(]\s*(?P<bracket>{_UNIT})\s*[\])]|\bin\s+(?P<word>{_UNIT}))",
     re.IGNORECASE,
 )
-_CHANNEL = re.compile(r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|通道)\s*[:=;,\t]\s*(?P<name>.+)", re.IGNORECASE)
+_Z_AMPLITUDE = re.compile(rf"z amplitude\s*:\s*{_NUMBER}\s*(?P<unit>{_UNIT})$", re.IGNORECASE)
+_ENDS_IN_NUMBER = re.compile(r"[:=]\s*[-+\d.,]+\s*$")
+_CHANNEL = re.compile(
+    r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|通道)\s*[:=;,\t]\s*(?P<name>.+)", re.IGNORECASE
+)
 _IN_KEY = re.compile(rf"[\[(]\s*(?P<unit>{_UNIT})\s*(?P<per>{_PER_PIXEL})?\s*[\])]")
-_COLUMN = re.compile(rf"^(?P<axis>[xyz])\b|^(?P<other>[xyz])_", re.IGNORECASE)
+_COLUMN = re.compile(r"^(?P<axis>[xyz])\b|^(?P<other>[xyz])_", re.IGNORECASE)
 
-_WIDTH = frozenset(
-    "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség|"
-    "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x|"
-    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width".split("|")
+
+def _names(*lines: str) -> frozenset[str]:
+    """Return the keys of lines, which bars separate."""
+    return frozenset("|".join(lines).split("|"))
+
+
+# Keys of header lines in lower case.
+_WIDTH = _names(
+    "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
+    "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x",
+    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width",
 )
-_HEIGHT = frozenset(
-    "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság|korkeus|"
-    "高さ|高度|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y|"
-    "y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height".split("|")
+_HEIGHT = _names(
+    "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság",
+    "korkeus|高さ|高度|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
+    "y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
 )
-_BOTH_SIZES = frozenset(
-    "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area".split("|")
+_BOTH_SIZES = _names(
+    "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
 )
-_PITCH_X = frozenset(
-    "pixel size x|x pixel size|pixel width|dx|x step|step x|x step size|step size x|x pitch|pitch x|x spacing|spacing x|"
-    "x increment|increment x|x-increment|x sampling|sampling x|x interval|xpixelsize|pixelsizex".split("|")
+_PITCH_X = _names(
+    "pixel size x|x pixel size|pixel width|dx|x step|step x|x step size|step size x|x pitch|pitch x|x spacing",
+    "spacing x|x increment|increment x|x-increment|x sampling|sampling x|x interval|xpixelsize|pixelsizex",
 )
-_PITCH_Y = frozenset(name.replace("x", "y") if name != "pixel width" else "pixel height" for name in _PITCH_X) - {
-    "piyel size y", "y piyel size",
-} | {"pixel size y", "y pixel size", "ypixelsize", "pixelsizey"}  # fmt: skip
-_BOTH_PITCHES = frozenset(
-    "pixel size|pixelsize|pixel pitch|pitch|sampling|lateral sampling|sampling interval|sampling distance|sample spacing|"
-    "spacing|point spacing|grid spacing|step|step size|increment|xy calibration|xy-calibration|xy-justierung|calibration|"
-    "dxy|camera res|camera resolution|pixelgröße|taille de pixel".split("|")
+_PITCH_Y = _names(
+    "pixel size y|y pixel size|pixel height|dy|y step|step y|y step size|step size y|y pitch|pitch y|y spacing",
+    "spacing y|y increment|increment y|y-increment|y sampling|sampling y|y interval|ypixelsize|pixelsizey",
 )
-_COUNTS_X = frozenset(
-    "w|nx|width|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres|"
-    "samples/line|points x|x points|x samples|xdim".split("|")
+_BOTH_PITCHES = _names(
+    "pixel size|pixelsize|pixel pitch|pitch|sampling|lateral sampling|sampling interval|sampling distance",
+    "sample spacing|spacing|point spacing|grid spacing|step|step size|increment|xy calibration|xy-calibration",
+    "xy-justierung|calibration|dxy|camera res|camera resolution|pixelgröße|taille de pixel",
 )
-_COUNTS_Y = frozenset(
-    "h|ny|height|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres|"
-    "points y|y points|y samples|ydim".split("|")
+_COUNTS_X = _names(
+    "w|nx|width|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres",
+    "samples/line|points x|x points|x samples|xdim",
 )
-_UNITS_Z = frozenset(
-    "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units|"
-    "heightunit|unit of height|unit of heights|data unit|data units|einheit|z einheit|höheneinheit|unité|unités|unità|"
-    "unidad|unidades|z-axis unit|z axis unit|heights|values|z".split("|")
+_COUNTS_Y = _names(
+    "h|ny|height|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres",
+    "points y|y points|y samples|ydim",
 )
-_UNITS_XY = frozenset("x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y".split("|"))
-_GLOBAL_UNITS = frozenset({"unit", "units", "einheit"})
+_UNITS_Z = _names(
+    "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units",
+    "heightunit|unit of height|unit of heights|data unit|data units|einheit|z einheit|höheneinheit|unité|unités|unità",
+    "unidad|unidades|z-axis unit|z axis unit|heights|values|z",
+)
+_UNITS_XY = _names(
+    "x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y"
+)
+_GLOBAL_UNITS = _names("unit|units|einheit")
 
 
 @dataclass
@@ -181,38 +199,25 @@ def _words(key: str) -> str:
 
 def _add_unit(facts: Facts, line: str) -> None:
     """Add the unit of heights, or of lengths along x and y, that a line states."""
+    # WSxM states the range of heights, in their unit.
+    amplitude = _Z_AMPLITUDE.match(line)
     if match := _FACTOR.search(line):
         unit = length_units.factor_of(match["unit"])
-        if unit is not None:
-            facts.factor = unit * value_of(match["number"])
-        return
-    if match := _WORD.match(line):
-        key, text = _words(match["key"]), match["unit"]
+        facts.factor = None if unit is None else unit * value_of(match["number"])
+    elif (match := amplitude or _WORD.match(line)) is not None:
+        key, text = "z" if amplitude else _words(match["key"]), match["unit"]
         unit = length_units.factor_of(text)
-        if key in _UNITS_XY and unit is not None:
-            facts.lateral = unit
+        if key in _UNITS_XY:
+            facts.lateral = facts.lateral if unit is None else unit
+        elif key in _UNITS_Z and unit is None:
+            facts.not_length = facts.not_length or text
         elif key in _UNITS_Z:
-            if unit is None:
-                facts.not_length = text if not facts.not_length else facts.not_length
-            else:
-                facts.units.add(unit)
-                if key in _GLOBAL_UNITS:
-                    facts.global_unit = unit
-        return
-    # WSxM states the range of heights, in their unit.
-    if match := re.match(rf"z amplitude\s*:\s*{_NUMBER}\s*({_UNIT})$", line, re.IGNORECASE):
-        unit = length_units.factor_of(match[1])
-        if unit is None:
-            facts.not_length = match[1]
-        else:
             facts.units.add(unit)
-        return
-    for match in _HEIGHTS_IN.finditer(line):
-        text = match["bracket"] or match["word"]
-        unit = length_units.factor_of(text)
-        # "Height [µm]: 10" is a size.
-        if unit is not None and not re.search(r"[:=]\s*[-+\d.,]+\s*$", line):
-            facts.units.add(unit)
+            facts.global_unit = unit if key in _GLOBAL_UNITS else facts.global_unit
+    # "Height [µm]: 10" is a size.
+    elif not _ENDS_IN_NUMBER.search(line):
+        texts = (match["bracket"] or match["word"] for match in _HEIGHTS_IN.finditer(line))
+        facts.units.update(unit for unit in map(length_units.factor_of, texts) if unit is not None)
 
 
 def _add_pair(facts: Facts, match: re.Match[str]) -> None:

@@ -71,7 +71,12 @@ def _content(file: Path, block: Block, form: Form, first_header: list[str]) -> F
     facts = text_header.facts_of(block.header, form)
     if not facts.has_scale and first_header is not block.header:
         first = text_header.facts_of(first_header, form)
-        facts.size_x, facts.size_y, facts.pitch_x, facts.pitch_y = first.size_x, first.size_y, first.pitch_x, first.pitch_y
+        facts.size_x, facts.size_y, facts.pitch_x, facts.pitch_y = (
+            first.size_x,
+            first.size_y,
+            first.pitch_x,
+            first.pitch_y,
+        )
         facts.units |= set() if facts.units or facts.factor else first.units
     values = block.values
     zygo = _zygo_pitch(block)
@@ -104,7 +109,9 @@ def _check_block(file: Path, block: Block, form: Form) -> None:
         cells = form.cells(block.header[-1])
         odd = [cell for cell in cells if form.number(cell) is None]
         if len(cells) == width and odd and odd != cells[:1] and 2 * len(odd) <= width:
-            raise refusal(file, f"has {odd[0][:20]!r} among the numbers of its first row; write NaN for a missing sample")
+            raise refusal(
+                file, f"has {odd[0][:20]!r} among the numbers of its first row; write NaN for a missing sample"
+            )
 
 
 def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileContent:
@@ -114,7 +121,8 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     measured = int(np.count_nonzero(np.isfinite(values).any(axis=0)))
     if ny < 2 or measured < 3:
         raise refusal(
-            file, f"is a profile or a list, with numbers of shape {block.values.shape}; a matrix or points x, y, z are read"
+            file,
+            f"is a profile or a list, with numbers of shape {block.values.shape}; a matrix or points x, y, z are read",
         )
     if not facts.has_scale and (nx == 3 < _MOST_NARROW_ROWS < ny or (nx <= 4 and _has_headings(block, form))):
         raise refusal(file, f"has {nx} columns, which are neither a matrix nor points x, y, z on an even grid")
@@ -157,9 +165,7 @@ def _metadata(facts: Facts) -> dict[str, str]:
     return {key: value for key, value in facts.metadata.items() if key != "_size"}
 
 
-def _without_labels(
-    file: Path, block: Block, form: Form
-) -> tuple[np.ndarray, tuple[float, float] | None]:
+def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
     """Return the values of a matrix without numbers of rows and columns, and the pitch of coordinates."""
     values = block.values
     above = form.cells(block.header[-1]) if block.header else []
@@ -241,6 +247,7 @@ def _grid(
     file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
 ) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
     """Return positions and steps of an even grid of points along x and y; None, or an error, if there is none."""
+
     def none(reason: str) -> None:
         if is_named:
             raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")

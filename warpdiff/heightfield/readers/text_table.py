@@ -32,10 +32,11 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
 )  # fmt: skip
 # Words that programs write for a missing sample.
-_GAPS = frozenset(
-    "nan +nan -nan 1.#qnan -1.#ind inf +inf -inf infinity -infinity bad --- -- - *** ** * nodata n/a #n/a na null none "
-    "missing void invalid masked undefined".split()
-)
+_GAPS = frozenset({
+    "nan", "+nan", "-nan", "1.#qnan", "-1.#ind", "inf", "+inf", "-inf", "infinity", "-infinity", "bad", "-", "--",
+    "---", "*", "**", "***", "nodata", "n/a", "#n/a", "na", "null", "none", "missing", "void", "invalid",
+    "masked", "undefined",
+})  # fmt: skip
 _NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b")
 _NUMBERS = {
     ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
@@ -269,5 +270,3 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
         if np.all(np.abs(distinct / step - np.round(distinct / step)) <= 0.1):
             return low + step * np.arange(count + 1), step
     return None
-
-

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import struct
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from warpdiff.heightfield.readers.reader_registry import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from warpdiff.heightfield.readers.reader_registry import Channels
 

@@ -156,6 +156,12 @@ class _Header:
             raise _HeaderError(f"{path} is no number of samples: {value:g}")
         return int(value)
 
+    def check_layers(self) -> None:
+        """Refuse several surfaces in one file."""
+        layers = self.texts.get("Record3/MatrixDimension/SizeZ", "1")
+        if layers != "1":
+            raise _HeaderError(f"it has {layers[:20]} layers, and one is read")
+
 
 def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header) -> FileContent:
     """Return the surface that a header describes."""
@@ -165,10 +171,8 @@ def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header)
         raise refusal(file, f"is {names.get(kind, f'of type {kind[:20]!r}')}, not a surface; export a surface")
     try:
         pitch = [_increment(header, axis) for axis in ("CY", "CX")]
+        header.check_layers()
         shape = header.count("Record3/MatrixDimension/SizeY"), header.count("Record3/MatrixDimension/SizeX")
-        layers = header.count("Record3/MatrixDimension/SizeZ") if "Record3/MatrixDimension/SizeZ" in header.texts else 1
-        if layers != 1:
-            raise _HeaderError(f"it has {layers} layers, and one is read")
         require_memory(file, shape, _BYTES_PER_SAMPLE)
         link = header.texts.get("Record3/DataLink/PointDataLink")
         heights = _of_list(header, shape) if link is None else _of_member(file, archive, folder + link, header, shape)
@@ -194,9 +198,7 @@ def _increment(header: _Header, axis: str) -> float:
     return _UM_PER_M * step
 
 
-def _of_member(
-    file: Path, archive: zipfile.ZipFile, name: str, header: _Header, shape: tuple[int, int]
-) -> np.ndarray:
+def _of_member(file: Path, archive: zipfile.ZipFile, name: str, header: _Header, shape: tuple[int, int]) -> np.ndarray:
     """Return heights [m] of a binary member."""
     letter = header.texts.get("Record1/Axes/CZ/DataType", "")
     if letter not in _TYPES:
