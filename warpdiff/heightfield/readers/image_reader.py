@@ -16,9 +16,18 @@ if TYPE_CHECKING:
 _BYTES_PER_SAMPLE = 28.0
 
 
-@register_reader(
+_SUFFIXES = (
     ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
-    ".dpx", ".fits", ".gif", ".psd", title="grey image of 8 or 16 bit, or of floats",
+    ".dpx", ".fits", ".gif", ".psd",
+)  # fmt: skip
+_OTHER_FORMAT = (
+    "has a format that is not read; export it as .x3p, as text, or as a grey image of 16 bit or of floats, or see the "
+    "table of formats in the documentation"
+)
+
+
+@register_reader(
+    *_SUFFIXES, title="grey image of 8 or 16 bit, or of floats",
     states="integers: you state the height of the full scale and the pitch; floats: µm, you state the pitch",
 )  # fmt: skip
 def read_image(file: Path) -> FileContent:
@@ -29,15 +38,18 @@ def read_image(file: Path) -> FileContent:
         configuration.attribute("pnm:pfmflip", 1)
         image = oiio.ImageInput.open(str(file), configuration)
         if image is None:
-            raise refusal(
-                file,
-                f"cannot be read as an image ({_reason(oiio)}); give a grey image, .npy, .npz, .x3p, a text, or a file "
-                "of an instrument with a suffix of the table of formats",
-            )
+            # OpenImageIO prints errors that were not read when the process ends.
+            reason = _unknown(_reason(oiio))
+            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
         try:
             return FileContent(_samples_of(image, file))
         finally:
             image.close()
+
+
+def _unknown(reason: str) -> str:
+    """Return the reason why a file is refused that OpenImageIO does not open."""
+    return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
 
 
 def _samples_of(image: Any, file: Path) -> np.ndarray:

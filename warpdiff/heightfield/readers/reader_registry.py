@@ -25,7 +25,7 @@ Rows = Literal["down", "up"]
 # Extent above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers that confuse units
 # give such sizes. If doubled, one more factor of two of wrong sizes passes.
 _MOST_EXTENT_UM = 1e6
-# Relative difference of the pitch of a file from the one that is stated, up to which they agree: headers are rounded. If
+# Relative difference of the pitch of a file and a stated one up to which they agree, because headers are rounded. If
 # doubled, arguments that contradict a file slightly more are ignored.
 _MOST_DIFFERENCE = 1e-3
 # Number of channels that an error lists; more make it unreadable.
@@ -259,7 +259,7 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
         return 1.0
     if unit is None:
         raise ArgumentValueError(
-            f"{ref('unit')} must be given: the text {str(file)!r} does not state the unit of its heights; it is one of "
+            f"{ref('unit')} must be given: {str(file)!r} has no text that states the unit of its heights; it is one of "
             f"{', '.join(length_units.SYMBOLS)}"
         )
     return length_units.factor_um(unit, "unit")

@@ -64,8 +64,8 @@ _WIDTH = _names(
 )
 _HEIGHT = _names(
     "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság",
-    "korkeus|高さ|高度|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
-    "y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
+    "korkeus|高さ|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
+    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
 )
 _BOTH_SIZES = _names(
     "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"

@@ -183,6 +183,8 @@ def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header)
         size = -(-heights.size // 8)
         bits = np.frombuffer(_member(archive, folder + mask, size, file, least=size), np.uint8)[:size]
         heights[np.unpackbits(bits, bitorder="little")[: heights.size].reshape(shape) == 0] = np.nan
+    # Alicona's program writes infinity for a missing sample.
+    heights[~np.isfinite(heights)] = np.nan
     metadata = {name: header.texts[path] for name, path in _METADATA.items() if path in header.texts}
     return FileContent(_UM_PER_M * heights, (pitch[0], pitch[1]), rows="up", metadata=metadata)
 
