@@ -86,12 +86,13 @@ EXPORTS = {
     ),
     "Zygo points": Export(
         ZYGO + "".join(
-            f"{10 + i} {20 + j} {'No Data' if np.isnan(z) else z}\n" for j, row in enumerate(GAP) for i, z in enumerate(row)
+            f"{10 + i} {20 + j} {'No Data' if np.isnan(z) else round(z / 1000, 6)}\n"
+            for j, row in enumerate(GAP) for i, z in enumerate(row)
         ) + "#\n",
-        heights=GAP, pitch=(0.5, 0.5), options={"unit": "um"}, suffix=".xyz",
+        heights=1e-3 * GAP, pitch=(0.5, 0.5), options={"unit": "um"}, suffix=".xyz",
     ),
     "Keyence": Export(
-        KEYENCE + table(GRID, '","').replace("\n", '"\n"').removesuffix('"').replace("1.5", '"1.5', 1), heights=GRID,
+        KEYENCE + "\n".join(",".join(f'"{1e-3 * value:.5f}"' for value in row) for row in GRID),
         pitch=(0.25, 0.25), encoding="cp1252", suffix=".csv",
     ),
     "interferometer with a factor": Export(
@@ -201,6 +202,75 @@ def test_exports_are_read(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(scan.pitch_um, export.pitch, rtol=1e-4)
 
 
+# Inputs that were written after the reader was finished.
+BIG = np.round(20.0 * np.random.default_rng(5).normal(size=(6, 7)), 3)
+LINES = table(BIG, ";", form="{:.3f}").splitlines()
+INDICES = [(i, j) for j in range(6) for i in range(7)]
+LATE: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
+    "SPIP": ("# x-pixels = 7\n# y-pixels = 6\n# x-length = 1000\n# z-unit = nm\n# bit2nm = 1.0\n# Start of Data:\n",
+             {"pitch_um": (0.25, 0.5)}, (0.25, 0.5)),
+    "positions with a word in the corner": ("y\\x;0;250;500;750;1000;1250;1500\n", {"unit": "nm"}, (0.5, 0.25)),
+    "positions without a corner": ("0;250;500;750;1000;1250;1500\n", {"unit": "nm"}, (0.5, 0.25)),
+    "a range of heights that is called height": (
+        "X range: 7 µm\nY range: 12 µm\nHeight: 12 nm\nZ unit: nm\n", {}, (2.0, 1.0)
+    ),
+    "the unit of both axes": ("XY unit: µm\nZ unit: nm\nWidth: 7\nHeight: 12\n", {}, (2.0, 1.0)),
+    "French": ("Largeur : 7 µm\nHauteur : 12 µm\nUnité : nm\n", {}, (2.0, 1.0)),
+    "axes by their letters": ("X: 7 µm\nY: 12 µm\nZ unit: nm\n", {}, (2.0, 1.0)),
+    "capital letters": ("WIDTH: 7 UM\nHEIGHT: 12 UM\nVALUE UNITS: NM\n", {}, (2.0, 1.0)),
+    "a line for spreadsheets": ("sep=;\n", {"unit": "nm", "pitch_um": 0.1}, (0.1, 0.1)),
+    "a grid of geography": ("ncols 7\nnrows 6\ncellsize 10\nNODATA_value -9999\n", {"unit": "nm", "pitch_um": 0.1},
+                            (0.1, 0.1)),
+    "numbers in a comment": ("# 1 2 3 4 5 6 7\n", {"unit": "nm", "pitch_um": 0.1}, (0.1, 0.1)),
+    "other lengths": ("Tip radius: 10 nm\nFocus: 3 mm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "a letter that was lost": ("Width: 7 ?m\nHeight: 12 \ufffdm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "a size that is not square": ("Scan size: 7 µm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "spacings that differ": ("Spacing: 1 µm\nSpacing: 2 µm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "a size and a pitch that differ": (
+        "Width: 7 µm\nHeight: 12 µm\nPixel size: 3 µm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LATE)
+def test_headers_that_were_written_later(tmp_path: Path, name: str) -> None:
+    header, options, pitch = LATE[name]
+    lines = [f"{500 * j};{line}" for j, line in enumerate(LINES)] if name.startswith("positions") else LINES
+    (tmp_path / "a.txt").write_text(header + "\n".join(lines), encoding="utf-8")
+    scan = HeightField.load(tmp_path / "a.txt", **options)
+    assert scan.source is not None
+    # Positions grow upwards, and rows of pictures downwards.
+    is_upright = (scan.source.rows == "up") == name.startswith("positions")
+    np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
+    np.testing.assert_allclose(scan.pitch_um, pitch)
+    if pitch == (0.1, 0.1):
+        # What is not clear is never guessed.
+        with pytest.raises(ValueError, match="exactly one of extent_um"):
+            HeightField.load(tmp_path / "a.txt", unit=options.get("unit"))
+
+
+POINTS = {
+    "numbers of pixels": ("pixel size: 0.5 µm\nx y z[nm]\n", "{i} {j} {z}"),
+    "Gwyddion": ("# Channel: H\n# Lateral units: m\n# Value units: m\n", "{i:.0f}e-7\t{j:.0f}e-7\t{z}e-9"),
+    "from minus to plus": ("X[um] Y[um] Z[nm]\n", "{x:.1f} {y:.1f} {z}"),
+    "decimal commas": ("x [µm]\ty [µm]\tz [nm]\n", "{x:.1f}\t{y:.1f}\t{z}"),
+    "a height in words": ("X in mm;Y in mm;Height in nm\n", "{i:.1f}e-3;{j:.1f}e-3;{z}"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_points_that_were_written_later(tmp_path: Path, name: str) -> None:
+    header, form = POINTS[name]
+    rows = [form.format(i=i, j=j, x=i - 3, y=j - 2, z=BIG[j, i]) for i, j in INDICES]
+    text = "\n".join(rows)
+    text = header + (text.replace(".", ",") if "comma" in name else text)
+    (tmp_path / "a.xyz").write_text(text, encoding="utf-8")
+    scan = HeightField.load(tmp_path / "a.xyz")
+    np.testing.assert_allclose(scan.heights_um, 1e-3 * BIG, atol=1e-12)
+    side = {"numbers of pixels": 0.5, "Gwyddion": 0.1}.get(name, 1.0)
+    np.testing.assert_allclose(scan.pitch_um, (side, side))
+
+
 REFUSED = {
     "profile": ("0 1\n1 2\n2 3\n3 4\n", "is a profile or a list"),
     "profile with empty cells": ("Lateral um,Raw um,\n0.0,0.1,,\n0.2,0.3,,\n0.3,0.1,,\n", "is a profile or a list"),
@@ -229,6 +299,30 @@ REFUSED = {
     ),
     "thousands": ("1,234.5;2,345.5;1,000.5\n3,234.5;4,345.5;2,000.5\n", "has no rows of numbers|unequal"),
     "underscores": ("1_0 2_0 3_0\n4_0 5_0 6_0\n", "has no rows of numbers"),
+    # Written after the reader was finished.
+    "a matrix of columns": ("X Size\t7\nY Size\t6\n" + table(BIG.T, "\t"), "6 columns, and its header states 7"),
+    "positions with a number in the corner": (
+        "7;0;250;500;750;1000;1250;1500\n" + "\n".join(f"{500 * j};{line}" for j, line in enumerate(LINES)),
+        "a first row and a first column of even steps",
+    ),
+    "a heading of uneven numbers": (
+        "y;a;b;c;d;e;f;g\n" + "\n".join(f"{0.5 * j};{line}" for j, line in enumerate(LINES)),
+        "a first column that numbers the rows",
+    ),
+    "a page number": ("\n".join([*LINES[:4], "page 2", *LINES[4:]]), "text between its rows of numbers, before line 6"),
+    "a page number in the middle": ("\n".join([*LINES[:3], "9 9", *LINES[3:]]), "unequal lengths|without names|between"),
+    "a factor": ("Z scale = 0.1\nUnit: nm\n" + table(BIG), "states a factor of its heights, 'Z scale'"),
+    "an overflow": (NM + table(GRID).replace("11.5", "1e400"), "1 infinite sample"),
+    "comments behind numbers": ("\n".join(f"{line} # row" for line in table(BIG).splitlines()), "no rows of numbers"),
+    "a list of Python": ("[[1, 2, 3],\n [4, 5, 6],\n [7, 8, 10]]\n", "no rows of numbers"),
+    "units in cells": ("1 nm;2 nm;3 nm\n4 nm;5 nm;6 nm\n", "no rows of numbers"),
+    "points of a turned grid": (
+        "X[um] Y[um] Z[nm]\n" + "\n".join(f"{0.9 * i - 0.3 * j:.3f} {0.3 * i + 0.9 * j:.3f} 1" for i, j in INDICES),
+        "at 42 of the",
+    ),
+    "apostrophes": ("1'000 2'000 3'000\n4'000 5'000 6'000\n", "no rows of numbers"),
+    "rows and columns that are cut off": ("columns = 7\nrows = 6\n" + table(BIG)[:-8], "unequal lengths"),
+    "a blank line": ("\n".join([*LINES[:3], "", *LINES[3:]]), "2 blocks of numbers with blank lines between"),
     "a size of kilometres": (GWYDDION.format(x="1000 m", y="1000 m", z="m") + table(GRID), "beyond any instrument"),
 }  # fmt: skip
 

@@ -157,10 +157,11 @@ class HeightField:
         """
         file = reader_registry.existing(path)
         content, name = reader_registry.read(file, channel)
+        orientation = reader_registry.rows_of(content, rows)
         heights = reader_registry.heights_of(content, file, height_range_um, unit)
         pitch = reader_registry.pitch_of(content, file, extent_um, pitch_um, unit)
         try:
-            return cls._of_content(content, str(file), name, heights, pitch, reader_registry.rows_of(content, rows))
+            return cls._of_content(content, str(file), name, heights, pitch, orientation)
         except (ArgumentValueError, ArgumentTypeError) as error:
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r}: {error}") from None
 

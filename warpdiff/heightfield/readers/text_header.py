@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 # Number of header lines that are searched: the last ones before the numbers.
 _MOST_LINES = 400
+# Relative difference up to which two statements of a length agree. If doubled, contradictions pass more often.
+_MOST_DIFFERENCE = 1e-3
 # Length of a line above which it is no statement.
 _MOST_LENGTH = 400
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
@@ -60,12 +62,12 @@ def _names(*lines: str) -> frozenset[str]:
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x",
-    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width",
+    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width|x",
 )
 _HEIGHT = _names(
     "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság",
     "korkeus|高さ|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
-    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
+    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height|y",
 )
 _BOTH_SIZES = _names(
     "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
@@ -84,12 +86,12 @@ _BOTH_PITCHES = _names(
     "xy-justierung|calibration|dxy|camera res|camera resolution|pixelgröße|taille de pixel",
 )
 _COUNTS_X = _names(
-    "w|nx|width|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres",
-    "samples/line|points x|x points|x samples|xdim",
+    "w|nx|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres",
+    "samples/line|points x|x points|x samples|xdim|x size|size x|xsize",
 )
 _COUNTS_Y = _names(
-    "h|ny|height|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres",
-    "points y|y points|y samples|ydim",
+    "h|ny|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres",
+    "points y|y points|y samples|ydim|y size|size y|ysize",
 )
 _UNITS_Z = _names(
     "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units",
@@ -99,6 +101,7 @@ _UNITS_Z = _names(
 _UNITS_XY = _names(
     "x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y"
 )
+_FACTORS = _names("z scale|z-scale|zscale|scale z|z factor|z-factor|factor|scale factor|height scale|multiplier|bit2nm")
 _GLOBAL_UNITS = _names("unit|units|einheit")
 
 
@@ -114,6 +117,7 @@ class Facts:
         count_x: Number of columns.
         count_y: Number of rows.
         units: Sizes of units of the heights that are stated; one is required, and several contradict each other.
+        factor_key: Key of a factor of the heights that is not applied; an empty string if there is none.
         not_length: A unit of the heights that is no length; an empty string if there is none.
         factor: Size of a unit of the numbers, by a conversion factor.
         lateral: Size of the unit of numbers along x and y.
@@ -129,12 +133,26 @@ class Facts:
     count_x: int | None = None
     count_y: int | None = None
     units: set[float] = field(default_factory=set)
+    factor_key: str = ""
     not_length: str = ""
     factor: float | None = None
     lateral: float | None = None
     global_unit: float | None = None
     channel: str = ""
     metadata: dict[str, str] = field(default_factory=dict)
+    _stated: dict[str, list[tuple[bool, float]]] = field(default_factory=dict)
+
+    def add(self, name: str, length: float, *, names_axis: bool) -> None:
+        """Add a statement of a size or pitch; those that name their axis count more than "Height" or "Spacing"."""
+        self._stated.setdefault(name, []).append((names_axis, length))
+
+    def decide(self) -> None:
+        """Set the sizes and pitches that statements agree on."""
+        for name, statements in self._stated.items():
+            strongest = max(names_axis for names_axis, _ in statements)
+            lengths = [length for names_axis, length in statements if names_axis == strongest]
+            if max(lengths) <= (1.0 + _MOST_DIFFERENCE) * min(lengths):
+                setattr(self, name, lengths[0])
 
     @property
     def has_scale(self) -> bool:
@@ -175,9 +193,12 @@ def facts_of(header: Sequence[str], form: Form) -> Facts:
             length = _add_number(facts, match)
             if length is not None and len(matches) == 1:
                 unnamed.append((index, length))
-    # Gwyddion translates "Width" and "Height": two lines in a row, and no other line has a length.
+    facts.decide()
+    # Gwyddion translates "Width" and "Height", which are two lines before the unit of the heights.
     if not facts.has_scale and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
-        facts.size_x, facts.size_y = unnamed[0][1], unnamed[1][1]
+        match = _WORD.match(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
+        if match and _words(match["key"]) in _UNITS_Z:
+            facts.size_x, facts.size_y = unnamed[0][1], unnamed[1][1]
     return facts
 
 
@@ -228,10 +249,10 @@ def _add_pair(facts: Facts, match: re.Match[str]) -> None:
     if unit_x is None or unit_y is None:
         return
     x, y = unit_x * value_of(match["x"]), unit_y * value_of(match["y"])
-    if key in _BOTH_SIZES:
-        facts.size_x, facts.size_y = x, y
-    elif key in _BOTH_PITCHES:
-        facts.pitch_x, facts.pitch_y = x, y
+    kind = "size" if key in _BOTH_SIZES else "pitch" if key in _BOTH_PITCHES else ""
+    if kind:
+        facts.add(f"{kind}_x", x, names_axis=True)
+        facts.add(f"{kind}_y", y, names_axis=True)
 
 
 def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
@@ -240,27 +261,27 @@ def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
     text = match["unit"] or (inner["unit"] if inner else None)
     key, number = _words(match["key"]), value_of(match["number"])
     unit = facts.lateral if text is None else length_units.factor_of(text)
-    if text is None and number == int(number) and 0 < number < 2**31:
-        if key in _COUNTS_X and (facts.lateral is None or key not in _WIDTH):
-            facts.count_x = int(number)
-            return None
-        if key in _COUNTS_Y and (facts.lateral is None or key not in _HEIGHT):
-            facts.count_y = int(number)
-            return None
+    if text is None and key in _FACTORS and number != 1.0:
+        facts.factor_key = match["key"]
+    if text is None and facts.lateral is None and number == int(number) and 0 < number < 2**31:
+        facts.count_x = int(number) if key in _COUNTS_X else facts.count_x
+        facts.count_y = int(number) if key in _COUNTS_Y else facts.count_y
+        return None
     if unit is None or not number > 0.0:
         return None
     length = unit * number
     per_pixel = match["per"] or (inner["per"] if inner else None)
+    names_axis = bool(re.search(r"^[dl]?[xy]|\b[xy]\b", key))
+    is_pitch = key in _BOTH_PITCHES or bool(per_pixel)
     if key in _WIDTH and not per_pixel:
-        facts.size_x = length
+        facts.add("size_x", length, names_axis=names_axis)
     elif key in _HEIGHT and not per_pixel:
-        facts.size_y = length
-    elif key in _PITCH_X:
-        facts.pitch_x = length
-    elif key in _PITCH_Y:
-        facts.pitch_y = length
-    elif key in _BOTH_PITCHES or per_pixel:
-        facts.pitch_x, facts.pitch_y = facts.pitch_x or length, facts.pitch_y or length
+        facts.add("size_y", length, names_axis=names_axis)
+    elif key in _PITCH_X or key in _PITCH_Y:
+        facts.add("pitch_x" if key in _PITCH_X else "pitch_y", length, names_axis=True)
+    elif is_pitch:
+        facts.add("pitch_x", length, names_axis=False)
+        facts.add("pitch_y", length, names_axis=False)
     elif key in _BOTH_SIZES:
         facts.metadata.setdefault("_size", str(length))
     elif text is not None:

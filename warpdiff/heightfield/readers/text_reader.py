@@ -15,6 +15,7 @@ import numpy as np
 from warpdiff.core import memory
 from warpdiff.heightfield.readers import text_header, text_table
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
+from warpdiff.heightfield.readers.text_table import Form
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,13 +23,20 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.reader_registry import Channels
     from warpdiff.heightfield.readers.text_header import Columns, Facts
-    from warpdiff.heightfield.readers.text_table import Block, Form
+    from warpdiff.heightfield.readers.text_table import Block
 
 # Memory at the peak while a text is read, per byte of the text: letters, lines and numbers, as measured. A doubled
 # value refuses texts that fit.
 _BYTES_PER_LETTER = 8.0
 # Number of rows above which three columns without a header are no scan: its width would be three samples.
 _MOST_NARROW_ROWS = 9
+# Ratio of the pitches along x and y above which a header is not believed. If doubled, some ranges of heights are
+# believed to be sizes.
+_MOST_ASPECT = 50.0
+# Relative difference of a size and of as many pitches, up to which they agree. If doubled, contradictions pass more often.
+_MOST_DIFFERENCE = 0.01
+# Number of the line of a Zygo XYZ file with the size of a pixel.
+_ZYGO_LINES = 8
 # Smallest share of the points of a grid that a file of points must have.
 _LEAST_FILLED = 0.5
 # Number of rows and columns from which a first one of consecutive integers is taken for numbers of rows.
@@ -51,21 +59,36 @@ def read_text(file: Path) -> FileContent | Channels:
         raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")
     blocks = text_table.blocks_of(lines, form)
     largest = max(blocks, key=lambda block: block.values.size)
-    same = [block for block in blocks if block.values.shape == largest.values.shape and block.values.size > 1]
-    if min(largest.values.shape) < 2:
+    shape = largest.values.shape
+    same = [block for block in blocks if block.values.shape[1] == shape[1]] if min(shape) > 1 else [largest]
+    if any(block.values.shape != shape for block in same if len(block.values) > 1 or block.above is None):
+        second = next(block for block in same[1:])
+        raise refusal(file, f"has text between its rows of numbers, before line {second.line}; remove it")
+    same = [block for block in same if block.values.shape == shape]
+    if len(same) == 1:
         same = [largest]
+    facts = [text_header.facts_of(block.header, form) for block in same]
+    # Channels of heights come first.
+    order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
-    for number, block in enumerate(same, 1):
-        read = functools.partial(_content, file, block, form, blocks[0].header)
-        name = text_header.facts_of(block.header, form).channel
-        if len(same) == 1 and not name:
+    for k in order:
+        read = functools.partial(_content, file, same[k], form, blocks[0].header, lines[:_ZYGO_LINES])
+        name = facts[k].channel or (_title(same[k].header) if len(same) > 1 else "")
+        if not name and len(same) == 1:
             return read()
-        name = name or f"matrix {number}"
-        channels[name if name not in channels else f"{name} ({number})"] = read
+        if not name:
+            raise refusal(file, f"has {len(same)} matrices without names; keep one of them")
+        channels[name if name not in channels else f"{name} ({k + 1})"] = read
     return channels
 
 
-def _content(file: Path, block: Block, form: Form, first_header: list[str]) -> FileContent:
+def _title(header: list[str]) -> str:
+    """Return the last line before a matrix if it is a title: at most four words."""
+    text = header[-1].strip().strip('#%"[]:;, \t') if header else ""
+    return text if re.fullmatch(r"[^\W\d_]+(?: [^\W\d_]+){0,3}", text) else ""
+
+
+def _content(file: Path, block: Block, form: Form, first_header: list[str], top: list[str]) -> FileContent:
     """Return the heights of a block of numbers."""
     _check_block(file, block, form)
     facts = text_header.facts_of(block.header, form)
@@ -79,7 +102,7 @@ def _content(file: Path, block: Block, form: Form, first_header: list[str]) -> F
         )
         facts.units |= set() if facts.units or facts.factor else first.units
     values = block.values
-    zygo = _zygo_pitch(block)
+    zygo = _zygo_pitch(top)
     columns = text_header.columns_of(block.header, form, values.shape[1])
     if columns is None and values.shape[1] in (3, 4) and not facts.has_scale:
         columns = text_header.Columns((0, 1, 2), (None, None, None))
@@ -124,13 +147,19 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
             file,
             f"is a profile or a list, with numbers of shape {block.values.shape}; a matrix or points x, y, z are read",
         )
-    if not facts.has_scale and (nx == 3 < _MOST_NARROW_ROWS < ny or (nx <= 4 and _has_headings(block, form))):
+    if not facts.has_scale and (
+        nx == 3 < _MOST_NARROW_ROWS < ny or (block.values.shape[1] <= 4 and _has_headings(block, form))
+    ):
         raise refusal(file, f"has {nx} columns, which are neither a matrix nor points x, y, z on an even grid")
     for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
-        if count is not None and count != actual and not (facts.count_x == ny and facts.count_y == nx):
+        if count is not None and count != actual:
             raise refusal(file, f"has {actual} {name}, and its header states {count}; export it again")
     if facts.not_length and facts.unit is None:
         raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+    if facts.factor_key:
+        raise refusal(
+            file, f"states a factor of its heights, {facts.factor_key[:20]!r}, which is not applied; export the heights"
+        )
     is_wsxm = any("WSxM" in line for line in block.header)
     # The matrix of WSxM has x from right to left, and y from the bottom to the top.
     samples = values[::-1, ::-1] if is_wsxm else values
@@ -144,20 +173,33 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
 
 
 def _has_headings(block: Block, form: Form) -> bool:
-    """Whether the line above the numbers has a word for each column."""
-    cells = form.cells(block.header[-1]) if block.header else []
-    return len(cells) == block.values.shape[1] and all(form.number(cell) is None for cell in cells)
+    """Whether the line above the numbers has a word for each column, or for each but the first."""
+    words = [cell for cell in (form.cells(block.header[-1]) if block.header else []) if cell]
+    is_key = any(sign in block.header[-1] for sign in ":=") if block.header else True
+    width = block.values.shape[1]
+    return not is_key and len(words) in (width, width - 1) and all(form.number(word) is None for word in words)
 
 
 def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
     """Return the pitch (dy, dx) [µm] that a header states."""
+    if _contradict(facts.size_x, facts.pitch_x, nx) or _contradict(facts.size_y, facts.pitch_y, ny):
+        return None
     dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
     dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
     size = facts.metadata.get("_size")
     # One size for both axes is clear only if they have equally many samples.
     if size is not None and nx == ny:
         dx, dy = dx or float(size) / nx, dy or float(size) / ny
-    return None if dx is None or dy is None else (dy, dx)
+    # A height of the field that is 50 times its width is rather the range of the heights.
+    is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
+    return (dy, dx) if is_likely else None  # type: ignore[return-value]
+
+
+def _contradict(size: float | None, pitch: float | None, count: int) -> bool:
+    """Whether a size is another one than that of so many samples, or of the distance of the first and the last."""
+    if size is None or pitch is None:
+        return False
+    return not (1.0 - _MOST_DIFFERENCE) * (count - 1) <= size / pitch <= (1.0 + _MOST_DIFFERENCE) * count
 
 
 def _metadata(facts: Facts) -> dict[str, str]:
@@ -166,48 +208,63 @@ def _metadata(facts: Facts) -> dict[str, str]:
 
 
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return the values of a matrix without numbers of rows and columns, and the pitch of coordinates."""
+    """Return the values of a matrix without numbers or positions of rows and columns, and the pitch of positions."""
     values = block.values
-    above = form.cells(block.header[-1]) if block.header else []
     if min(values.shape) < _LEAST_NUMBERED:
         return values, None
-    first = values[0]
-    if math.isnan(first[0]) and (x := text_table.even_steps(first[1:])) and (y := text_table.even_steps(values[1:, 0])):
-        # A corner without a number, positions along x in the first row and along y in the first column.
-        if not _is_ordered(first[1:]) or not _is_ordered(values[1:, 0]) or len(x[0]) != len(first) - 1:
-            return values, None
-        inner = values[1:, 1:][:: 1 if values[-1, 0] < values[1, 0] else -1]
-        is_counted = x[1] == 1.0 and y[1] == 1.0
-        # Numbers of rows begin at the top, and coordinates grow upwards.
-        return (values[1:, 1:], None) if is_counted else (inner, (y[1], x[1]))
-    if not np.array_equal(values[:, 0], values[0, 0] + np.arange(len(values))) or values[0, 0] not in (0.0, 1.0):
+    cells = form.cells(block.header[-1]) if block.header else []
+    numbers = [form.number(cell) for cell in cells]
+    first = values[:, 0]
+    if len(numbers) == len(values[0]) and None not in numbers[1:] and numbers[0] is None:
+        # The corner has a word.
+        return _at_positions(values[:, 1:], np.array(numbers[1:], dtype=float), first, file)
+    if math.isnan(values[0, 0]):
+        # The corner is empty.
+        return _at_positions(values[1:, 1:], values[0, 1:], first[1:], file) if _has_even(values) else (values, None)
+    if block.above is not None and len(block.above) == len(values[0]) - 1 and text_table.is_even(block.above):
+        return _at_positions(values[:, 1:], block.above, first, file)
+    if not text_table.is_even(first):
+        is_plane = np.isclose(values[1, 2] - values[1, 1], values[0, 2] - values[0, 1])
+        if _has_even(values) and not is_plane:
+            raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
         return values, None
-    if len(above) in (values.shape[1], values.shape[1] - 1) and not any(sign in block.header[-1] for sign in ":="):
+    is_counted = first[0] in (0.0, 1.0) and first[1] - first[0] == 1.0
+    has_headings = _has_headings(block, form)
+    if has_headings and is_counted:
         return values[:, 1:], None
-    if np.any(values[:, 1:] % 1.0 != 0.0) and len(values) >= 2 * _LEAST_NUMBERED:
+    if has_headings or (is_counted and len(values) >= 2 * _LEAST_NUMBERED and np.any(values[:, 1:] % 1.0 != 0.0)):
         raise refusal(file, "has a first column that numbers the rows; remove it")
     return values, None
 
 
-def _is_ordered(values: np.ndarray) -> bool:
-    """Whether values grow or fall steadily."""
-    steps = np.diff(values)
-    return bool(np.all(steps > 0.0) or np.all(steps < 0.0))
+def _has_even(values: np.ndarray) -> bool:
+    """Whether the first row and the first column without the corner have even steps."""
+    return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 
-def _zygo_pitch(block: Block) -> float | None:
+def _at_positions(
+    inner: np.ndarray, x: np.ndarray, y: np.ndarray, file: Path
+) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Return values in the order of the picture, and their pitch; numbers of rows and columns are no positions."""
+    if not text_table.is_even(x) or not text_table.is_even(y):
+        raise refusal(file, "has a first row or a first column of words or uneven positions; remove them")
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    if dx == dy == 1.0 and x[0] in (0.0, 1.0) and y[0] in (0.0, 1.0):
+        return inner, None
+    # Positions grow to the right and upwards.
+    return inner[:: -1 if dy > 0.0 else 1, :: 1 if dx > 0.0 else -1], (abs(dy), abs(dx))
+
+
+def _zygo_pitch(top: list[str]) -> float | None:
     """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if it has none; None for other files.
 
     The seventh number of its eighth line is the size in m. The unit of its heights is a setting of the program.
     """
-    lines = [line for line in block.header if line.strip()]
-    if not lines or not lines[0].strip().startswith("Zygo XYZ Data File"):
+    if not top[0].strip().startswith("Zygo XYZ Data File"):
         return None
-    for line in lines[4:9]:
-        cells = line.split()
-        if len(cells) == 8 and all(re.fullmatch(r"[-+.\deE]+", cell) for cell in cells):
-            return 1e6 * max(float(cells[6]), 0.0)
-    return 0.0
+    cells = top[-1].split()
+    size_m = Form(None, ".").number(cells[6]) if len(top) == _ZYGO_LINES and len(cells) > 6 else None
+    return 1e6 * size_m if size_m is not None and 0.0 < size_m < math.inf else 0.0
 
 
 def _of_points(
@@ -235,6 +292,9 @@ def _of_points(
         pitch = (zygo * dy, zygo * dx) if zygo else None
     elif unit_x is not None and unit_y is not None:
         pitch = unit_y * dy, unit_x * dx
+    elif facts.has_scale and dx == dy == 1.0:
+        # The positions number the samples.
+        pitch = _pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx
     return FileContent(

@@ -33,7 +33,8 @@ _MARKS = (
 )  # fmt: skip
 # Words that programs write for a missing sample.
 _GAPS = frozenset({
-    "nan", "+nan", "-nan", "1.#qnan", "-1.#ind", "inf", "+inf", "-inf", "infinity", "-infinity", "bad", "-", "--",
+    "nan", "+nan", "-nan", "1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)", "1.#inf", "-1.#inf", "inf",
+    "+inf", "-inf", "infinity", "-infinity", "bad", "-", "--",
     "---", "*", "**", "***", "nodata", "n/a", "#n/a", "na", "null", "none", "missing", "void", "invalid",
     "masked", "undefined",
 })  # fmt: skip
@@ -149,6 +150,7 @@ class Block:
         parts: Numbers of rows between blank lines.
         line: Number of the line of its first row, from 1.
         is_cut: Whether a row of another length follows directly.
+        above: Numbers of the row of another length directly above; None if there is none.
         odd_cell: A cell among the numbers that is no number, with its line; None if there is none.
     """
 
@@ -157,6 +159,7 @@ class Block:
     parts: list[int]
     line: int
     is_cut: bool = False
+    above: NDArray[np.float64] | None = None
     odd_cell: tuple[str, int] | None = None
 
 
@@ -195,10 +198,13 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
     rows: list[NDArray[np.float64]] = []
     parts: list[int] = []
     first, was_blank = 0, False
+    above: NDArray[np.float64] | None = None
 
     def close(*, is_cut: bool) -> None:
+        nonlocal above
         if rows:
-            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut))
+            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut, above))
+            above = rows[-1] if is_cut else None
             header.clear()
             rows.clear()
             parts.clear()
@@ -249,6 +255,12 @@ def _without_outer_separators(lines: Sequence[str], form: Form) -> Sequence[str]
     if begins:
         lines = [line.lstrip(" ").removeprefix(form.separator) for line in lines]
     return lines
+
+
+def is_even(values: NDArray[np.float64]) -> bool:
+    """Whether at least two numbers have equal steps, up to rounding, that are not zero."""
+    steps = np.diff(values)
+    return len(steps) > 0 and bool(steps[0] != 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))
 
 
 def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
