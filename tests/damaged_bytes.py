@@ -4,12 +4,14 @@ It prints how many were tried, then what was wrong. Where it dies or hangs, the 
 """
 
 import contextlib
+import gzip
 import json
 import re
 import signal
 import sys
 import time
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,51 @@ def scans():
         output.write_image(((waves + 3.0) / 6.0).astype(np.float32)[:, :, None])
         output.close()
     return sorted(Path().iterdir())
+
+
+def exports():
+    """Texts and an .x3p file, as instruments export them, by name."""
+    rng = np.random.default_rng(1)
+    heights = np.round(20.0 * rng.normal(size=(7, 6)), 2)
+    rows = [" ".join(map(str, row)) for row in heights]
+    header = "# Channel: Z\n# Width: 1.2 µm\n# Height: 1400 nm\n# Value units: nm\n"
+    Path("export-gwyddion.txt").write_text(header + "\n".join(rows), encoding="utf-8")
+    Path("export-two.txt").write_text((header + "\n".join(rows) + "\n") * 2, encoding="utf-16")
+    Path("export-german.csv").write_text(
+        "Breite;1,2;µm\nHöhe;1,4;µm\nEinheit;nm\n" + "\n".join(rows).replace(" ", ";").replace(".", ","),
+        encoding="cp1252",
+    )
+    points = (f"{0.2 * i:.1f},{0.2 * j:.1f},{1e-3 * z:.5f}" for (j, i), z in np.ndenumerate(heights))
+    Path("export-points.xyz").write_text("x [um],y [um],z [um]\n" + "\n".join(points), encoding="utf-8")
+    Path("export-small.txt.gz").write_bytes(gzip.compress((header + "\n".join(rows)).encode()))
+    for name, data in (("export-list.x3p", True), ("export-binary.x3p", False)):
+        with zipfile.ZipFile(name, "w", zipfile.ZIP_STORED if data else zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("main.xml", x3p_header(1e-9 * heights if data else None))
+            if not data:
+                archive.writestr("bindata/data.bin", (1e-9 * heights).tobytes())
+                archive.writestr("bindata/valid.bin", np.packbits(heights > -50.0, bitorder="little").tobytes())
+    return sorted(Path().iterdir())
+
+
+def x3p_header(heights):
+    """The header of a file of 6 × 7 samples, with the heights in it or in another member."""
+    link = "<PointDataLink>bindata/data.bin</PointDataLink><ValidPointsLink>bindata/valid.bin</ValidPointsLink>"
+    data = f"<DataLink>{link}</DataLink>"
+    if heights is not None:
+        data = "<DataList>" + "".join(f"<Datum>{z:.3e}</Datum>" for z in heights.ravel()) + "</DataList>"
+    axis = "<{0}><AxisType>I</AxisType><DataType>D</DataType><Increment>2e-7</Increment></{0}>"
+    return (
+        '<?xml version="1.0"?><p:ISO5436_2 xmlns:p="http://www.opengps.eu/2008/ISO5436_2"><Record1><FeatureType>SUR'
+        f"</FeatureType><Axes>{axis.format('CX')}{axis.format('CY')}<CZ><AxisType>A</AxisType><DataType>D</DataType></CZ>"
+        "</Axes></Record1><Record3><MatrixDimension><SizeX>6</SizeX><SizeY>7</SizeY><SizeZ>1</SizeZ></MatrixDimension>"
+        f"{data}</Record3></p:ISO5436_2>"
+    )
+
+
+def read_export(path):
+    """A height field from an export, whatever it lost of its header."""
+    heightfield = wd.HeightField.load(path)
+    assert np.isfinite(heightfield.heights_um[~heightfield.missing]).all()
 
 
 def meshes():
@@ -122,7 +169,7 @@ def main(kind, seed, count, seconds, folder):
     """Try so many, for no longer than so many seconds."""
     import resource
 
-    files, read = {"scans": (scans, read_scan), "meshes": (meshes, read_mesh)}[kind]
+    files, read = {"scans": (scans, read_scan), "exports": (exports, read_export), "meshes": (meshes, read_mesh)}[kind]
     sound = {path: path.read_bytes() for path in files()}
     warnings.simplefilter("ignore")
     for path in sound:
@@ -142,8 +189,10 @@ def main(kind, seed, count, seconds, folder):
         try:
             read(path)
         except (ValueError, OSError, MemoryError) as error:
-            # A mesh's error names the mesh, whichever of its files is damaged.
-            if not any(file.stem in str(error) for file in sound):
+            # A mesh's error names the mesh, whichever of its files is damaged. An export without its size lacks an
+            # argument, which the error names.
+            is_named = any(file.stem in str(error) for file in sound)
+            if not is_named and not (kind == "exports" and str(error).startswith("exactly one of extent_um")):
                 wrong.append(f"{tried - 1}: {path}: {error!r}")
         except Exception as error:
             wrong.append(f"{tried - 1}: {path}: {error!r}")

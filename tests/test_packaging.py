@@ -170,7 +170,7 @@ def test_dependencies_are_what_is_imported():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are extras.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba")
+    commands = ("view", "data", "dask", "mitsuba", "scans")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used

@@ -13,6 +13,7 @@ from warpdiff.heightfield.field import HeightField
 
 NAN = float("nan")
 GRID = np.array([[1.5, -2.0, 3.25, 0.5], [4.0, 5.5, -6.0, 7.0], [8.0, 9.25, 10.0, 11.5]])
+TWICE = np.vstack([GRID, GRID])
 GAP = np.where(GRID == 5.5, NAN, GRID)
 
 
@@ -68,7 +69,8 @@ EXPORTS = {
     # Programs of instruments.
     "Gwyddion": Export(NM + table(GRID, "\t")),
     "Gwyddion in German, Latin-1": Export(
-        "# Kanal: Höhe\n# Breite: 1 µm\n# Höhe: 1,5 µm\n# Value units: nm\n" + table(GRID, "\t", ","), encoding="latin-1"
+        "# Kanal: Höhe\n# Breite: 1 µm\n# Höhe: 1,5 µm\n# Value units: nm\n" + table(GRID, "\t", ","),
+        encoding="latin-1",
     ),
     "Gwyddion in a language that has no words here": Export(
         "# Kanalas: Z\n# Plotis: 1 µm\n# Aukštis: 1500 nm\n# Value units: nm\n" + table(GRID)
@@ -105,11 +107,14 @@ EXPORTS = {
     "commas": Export(table(GRID, ","), suffix=".csv", **STATED),
     "commas and blanks": Export(table(GRID, ", "), suffix=".csv", **STATED),
     "decimal commas in quotes between commas": Export(
-        "\n".join(",".join(f'"{value:.2f}"'.replace(".", ",") for value in row) for row in GRID), suffix=".csv", **STATED
+        "\n".join(",".join(f'"{value:.2f}"'.replace(".", ",") for value in row) for row in GRID),
+        suffix=".csv", **STATED,
     ),
     "separators at the ends": Export(table(GRID, ";").replace("\n", ";\n"), suffix=".csv", **STATED),
     "blanks in columns": Export(table(GRID, "  ", form="{:>10.3f}"), **STATED),
-    "line ends of Windows, with a mark": Export(table(GRID, "\t").replace("\n", "\r\n"), encoding="utf-8-sig", **STATED),
+    "line ends of Windows, with a mark": Export(
+        table(GRID, "\t").replace("\n", "\r\n"), encoding="utf-8-sig", **STATED
+    ),
     "line ends of old Macs": Export(table(GRID).replace("\n", "\r"), **STATED),
     "UTF-16 with a mark": Export(NM + table(GRID), encoding="utf-16"),
     "UTF-16 without a mark": Export(NM + table(GRID), encoding="utf-16-be"),
@@ -130,17 +135,23 @@ EXPORTS = {
     "spreadsheet errors": Export(NM + table(GAP, ",", gap="#N/A"), heights=1e-3 * GAP),
     # Labels.
     "numbers of rows": Export(
-        ";".join(["", "a", "b", "c", "d"]) + "\n"
+        ";a;b;c;d\n"
         + "".join(f"{k};{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID]), ";").splitlines())),
         heights=1e-3 * np.vstack([GRID, GRID]), suffix=".csv", **STATED,
     ),
     "numbers of rows and columns": Export(
-        ",0,1,2,3\n" + "".join(f"{k},{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID]), ",").splitlines())),
+        ",0,1,2,3\n" + "".join(f"{k},{line}\n" for k, line in enumerate(table(TWICE, ",").splitlines())),
         heights=1e-3 * np.vstack([GRID, GRID]), suffix=".csv", **STATED,
+    ),
+    "numbers of few rows": Export(
+        "n;a;b;c;d\n" + "".join(f"{k};{line}\n" for k, line in enumerate(table(GRID, ";").splitlines(), 1)), **STATED
+    ),
+    "numbers of few rows and columns": Export(
+        ",1,2,3,4\n" + "".join(f"{k},{line}\n" for k, line in enumerate(table(GRID, ",").splitlines(), 1)), **STATED
     ),
     "coordinates in the first row and column": Export(
         "\t0\t250\t500\t750\n"
-        + "".join(f"{500 * k}\t{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID])[::-1], "\t").splitlines())),
+        + "".join(f"{500 * k}\t{line}\n" for k, line in enumerate(table(TWICE[::-1], "\t").splitlines())),
         heights=1e-3 * np.vstack([GRID, GRID]), options={"unit": "nm"},
     ),
     # Headers.
@@ -158,7 +169,9 @@ EXPORTS = {
     "statistics below": Export(NM + table(GRID) + "\nMean 4.3\nRms 1.2\n"),
     # Points.
     "points with units in brackets": Export("x (µm), y (µm), z (nm)\n" + points(GRID, 0.25, 0.5, ","), suffix=".csv"),
-    "points with units in words": Export("x in µm;y in µm;z in nm\n" + points(GRID, 0.25, 0.5, ";", ","), suffix=".csv"),
+    "points with units in words": Export(
+        "x in µm;y in µm;z in nm\n" + points(GRID, 0.25, 0.5, ";", ","), suffix=".csv"
+    ),
     "points with units below": Export("X;Y;Z\n[µm];[µm];[nm]\n" + points(GRID, 0.25, 0.5, ";"), suffix=".csv"),
     "points with units in names": Export("x_um,y_um,z_nm\n" + points(GRID, 0.25, 0.5, ","), suffix=".csv"),
     "points in another order": Export(
@@ -307,10 +320,10 @@ REFUSED = {
     ),
     "a heading of uneven numbers": (
         "y;a;b;c;d;e;f;g\n" + "\n".join(f"{0.5 * j};{line}" for j, line in enumerate(LINES)),
-        "a first column that numbers the rows",
+        "a first column of even steps under a heading",
     ),
     "a page number": ("\n".join([*LINES[:4], "page 2", *LINES[4:]]), "text between its rows of numbers, before line 6"),
-    "a page number in the middle": ("\n".join([*LINES[:3], "9 9", *LINES[3:]]), "unequal lengths|without names|between"),
+    "a page number in the middle": ("\n".join([*LINES[:3], "page 2", *LINES[3:]]), "has 2 matrices without names"),
     "a factor": ("Z scale = 0.1\nUnit: nm\n" + table(BIG), "states a factor of its heights, 'Z scale'"),
     "an overflow": (NM + table(GRID).replace("11.5", "1e400"), "1 infinite sample"),
     "comments behind numbers": ("\n".join(f"{line} # row" for line in table(BIG).splitlines()), "no rows of numbers"),
@@ -342,7 +355,7 @@ def test_other_texts_are_refused_by_their_path(tmp_path: Path, name: str) -> Non
      (table(GRID), {"unit": "nm"}, r"^exactly one of extent_um .* neither"),
      (table(GRID), {"unit": "inch", "pitch_um": 0.1}, r"^unit must be one of m, .* got 'inch'"),
      (table(GRID), {"unit": 3, "pitch_um": 0.1}, r"^unit must be a string, got int"),
-     (table(GRID), {"pitch_um": 0.1, "height_range_um": 1.0}, r"^height_range_um must not be given: .* whose unit unit"),
+     (table(GRID), {"pitch_um": 0.1, "height_range_um": 1.0}, r"^height_range_um must not be given: .* whose unit"),
      (NM + table(GRID), {"unit": "nm"}, r"^unit must not be given: heights of .* have a unit already"),
      (NM + table(GRID), {"pitch_um": 0.3}, r"^pitch_um must not be given: .* states its own pitch, 0\.5 × 0\.25 µm"),
      (NM + table(GRID), {"channel": "Phase"}, r"^channel must be one of 'Z', which .* has, got 'Phase'"),

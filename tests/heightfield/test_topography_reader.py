@@ -90,7 +90,7 @@ def test_the_default_channel_is_a_height(library: Any) -> None:
         HeightField.load(path, channel="Phase")
 
 
-def test_masked_samples_are_missing(library: Any) -> None:
+def test_masked_samples_are_missing() -> None:
     values = np.ma.masked_equal(PICTURE_NM.T, 60.0)
     scan = HeightField.from_topography(topography(heights=lambda: values))
     np.testing.assert_array_equal(scan.missing[::-1], PICTURE_NM == 60.0)
@@ -139,7 +139,7 @@ def test_without_the_library_the_error_names_the_extra(tmp_path: Path, monkeypat
      ({"unit": None}, ValueError, "topography must have a size and a unit"),
      ({"unit": "V"}, ValueError, "topography must have a unit of length, got 'V'"),
      ({"physical_sizes": None}, ValueError, "topography must have a size and a unit"),
-     ({"heights": lambda: np.zeros((0, 3))}, ValueError, r"topography must have heights on a grid, got shape \(0, 3\)")],
+     ({"heights": lambda: np.zeros((0, 3))}, ValueError, r"must have heights on a grid, got shape \(0, 3\)")],
 )  # fmt: skip
 def test_topographies_that_are_no_maps(values: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
@@ -210,7 +210,8 @@ def wsxm(samples: np.ndarray) -> bytes:
     """A file of WSxM: its samples begin at the lower right corner."""
     ny, nx = samples.shape
     lines = (
-        "[Control]\r\n\r\n    X Amplitude: 0.6 um\r\n    Y Amplitude: 0.8 um\r\n    Z Gain: 1\r\n\r\n[General Info]\r\n\r\n"
+        "[Control]\r\n\r\n    X Amplitude: 0.6 um\r\n    Y Amplitude: 0.8 um\r\n    Z Gain: 1\r\n\r\n"
+        "[General Info]\r\n\r\n"
         "    Acquisition channel: Topography\r\n    Head type: AFM\r\n    Image Data Type: double\r\n"
         f"    Number of columns: {nx}\r\n    Number of rows: {ny}\r\n    Z Amplitude: 59 nm\r\n\r\n[Header end]\r\n"
     )

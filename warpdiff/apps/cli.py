@@ -249,11 +249,15 @@ def _add_height_field(
     flags: Flags, *, default: str | None = None, several: bool = False, has_position: bool = False
 ) -> None:
     group = flags.group("height field")
-    if has_position:
-        flags.parser.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
     how: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []} if several else {"default": default}
-    group.add_argument(
-        "--heightfield", metavar="HEIGHTFIELD", required=default is None and not (several or has_position),
+    named: Any = group
+    if has_position:
+        named = group.add_mutually_exclusive_group(required=True)
+        named.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
+    else:
+        how["required"] = default is None and not several
+    named.add_argument(
+        "--heightfield", metavar="HEIGHTFIELD",
         help=_HEIGHT_FIELD_HELP + (f" (default: {default})" if default else ""), **how,
     )  # fmt: skip
     loading = ("extent_um", "pitch_um", "height_range_um", "channel", "rows", "unit")

@@ -88,13 +88,8 @@ def _value(text: str) -> Any:
 
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
     """Return the height field of a file or of a synthetic one, cleaned."""
-    text = options.heightfield
     # Commands without a mesh accept it as a position.
-    position = getattr(options, "scan", None)
-    if (text is None) == (position is None):
-        which = "neither" if text is None else f"{text!r} and {position!r}"
-        raise ArgumentValueError(f"one {ref('heightfield')} must be given, got {which}")
-    text = position if text is None else text
+    text = options.scan if options.heightfield is None else options.heightfield
     made = _named(text, GRATINGS, wd.gratings, "heightfield")
     if made is None:
         if not validation.path(text, "heightfield").is_file():

@@ -121,7 +121,8 @@ def _shape(option: Option) -> dict[str, Any]:
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
         return {"type": kind, "metavar": placeholder}
-    placeholder = {2: ("Y", "X"), 3: ("X", "Y", "Z")}.get(option.length, placeholder)
+    length = 2 if option.kind == "pair" else option.length
+    placeholder = {2: ("Y", "X"), 3: ("X", "Y", "Z")}.get(length, placeholder)
     return {"type": kind, "metavar": placeholder, "nargs": option.length or "+"}
 
 

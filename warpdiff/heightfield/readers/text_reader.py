@@ -33,13 +33,14 @@ _MOST_NARROW_ROWS = 9
 # Ratio of the pitches along x and y above which a header is not believed. If doubled, some ranges of heights are
 # believed to be sizes.
 _MOST_ASPECT = 50.0
-# Relative difference of a size and of as many pitches, up to which they agree. If doubled, contradictions pass more often.
+# Relative difference of a size and of as many pitches, up to which they agree. If doubled, more contradictions pass.
 _MOST_DIFFERENCE = 0.01
 # Number of the line of a Zygo XYZ file with the size of a pixel.
 _ZYGO_LINES = 8
 # Smallest share of the points of a grid that a file of points must have.
 _LEAST_FILLED = 0.5
-# Number of rows and columns from which a first one of consecutive integers is taken for numbers of rows.
+# Number of even steps from which a first row or column is no chance; without a heading, twice as many. If halved,
+# more small matrices are refused.
 _LEAST_NUMBERED = 4
 
 
@@ -139,18 +140,16 @@ def _check_block(file: Path, block: Block, form: Form) -> None:
 
 def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileContent:
     """Return the heights of a matrix."""
+    rows, width = block.values.shape
+    measured = int(np.count_nonzero(np.isfinite(block.values).any(axis=0)))
+    if rows < 2 or measured < 3:
+        raise refusal(
+            file, f"is a profile or a list, with numbers of shape {rows, width}; a matrix or points x, y, z are read"
+        )
+    if not facts.has_scale and (width == 3 < _MOST_NARROW_ROWS < rows or (width <= 4 and _has_headings(block, form))):
+        raise refusal(file, f"has {width} columns, which are neither a matrix nor points x, y, z on an even grid")
     values, label_pitch = _without_labels(file, block, form)
     ny, nx = values.shape
-    measured = int(np.count_nonzero(np.isfinite(values).any(axis=0)))
-    if ny < 2 or measured < 3:
-        raise refusal(
-            file,
-            f"is a profile or a list, with numbers of shape {block.values.shape}; a matrix or points x, y, z are read",
-        )
-    if not facts.has_scale and (
-        nx == 3 < _MOST_NARROW_ROWS < ny or (block.values.shape[1] <= 4 and _has_headings(block, form))
-    ):
-        raise refusal(file, f"has {nx} columns, which are neither a matrix nor points x, y, z on an even grid")
     for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
         if count is not None and count != actual:
             raise refusal(file, f"has {actual} {name}, and its header states {count}; export it again")
@@ -210,47 +209,58 @@ def _metadata(facts: Facts) -> dict[str, str]:
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
     """Return the values of a matrix without numbers or positions of rows and columns, and the pitch of positions."""
     values = block.values
-    if min(values.shape) < _LEAST_NUMBERED:
-        return values, None
-    cells = form.cells(block.header[-1]) if block.header else []
-    numbers = [form.number(cell) for cell in cells]
-    first = values[:, 0]
-    if len(numbers) == len(values[0]) and None not in numbers[1:] and numbers[0] is None:
-        # The corner has a word.
-        return _at_positions(values[:, 1:], np.array(numbers[1:], dtype=float), first, file)
-    if math.isnan(values[0, 0]):
-        # The corner is empty.
-        return _at_positions(values[1:, 1:], values[0, 1:], first[1:], file) if _has_even(values) else (values, None)
-    if block.above is not None and len(block.above) == len(values[0]) - 1 and text_table.is_even(block.above):
-        return _at_positions(values[:, 1:], block.above, first, file)
-    if not text_table.is_even(first):
-        is_plane = np.isclose(values[1, 2] - values[1, 1], values[0, 2] - values[0, 1])
-        if _has_even(values) and not is_plane:
-            raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
-        return values, None
-    is_counted = first[0] in (0.0, 1.0) and first[1] - first[0] == 1.0
-    has_headings = _has_headings(block, form)
-    if has_headings and is_counted:
+    labels = _labels_around(block, form)
+    if labels is not None:
+        inner, x, y = labels
+        if not text_table.is_even(x) or not text_table.is_even(y):
+            raise refusal(file, "has a first row or a first column of words or uneven positions; remove them")
+        return _at_positions(inner, x, y)
+    first, has_headings = values[:, 0], _has_headings(block, form)
+    if has_headings and _is_counted(first):
         return values[:, 1:], None
-    if has_headings or (is_counted and len(values) >= 2 * _LEAST_NUMBERED and np.any(values[:, 1:] % 1.0 != 0.0)):
+    is_long = len(values) >= 2 * _LEAST_NUMBERED
+    if has_headings and len(values) > 2 and text_table.is_even(first):
+        raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
+    if is_long and _is_counted(first) and np.any(values[:, 1:] % 1.0 != 0.0):
         raise refusal(file, "has a first column that numbers the rows; remove it")
+    # Rows of a plane have even steps too, and all of them.
+    if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
+        raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
     return values, None
 
 
-def _has_even(values: np.ndarray) -> bool:
+def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return inner values, and numbers or positions of columns and rows around a corner without a number."""
+    values, width = block.values, block.values.shape[1]
+    cells = form.cells(block.header[-1]) if block.header else []
+    numbers = [form.number(cell) for cell in cells]
+    if len(numbers) == width and numbers[0] is None and None not in numbers[1:]:
+        return values[:, 1:], np.array(numbers[1:], dtype=np.float64), values[:, 0]
+    if block.above is not None and len(block.above) == width - 1 > 2 and text_table.is_even(block.above):
+        return values[:, 1:], block.above, values[:, 0]
+    if not math.isnan(values[0, 0]) or min(values.shape) < 3:
+        return None
+    is_long = min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values)
+    if is_long or (_is_counted(values[0, 1:]) and _is_counted(values[1:, 0])):
+        return values[1:, 1:], values[0, 1:], values[1:, 0]
+    return None
+
+
+def _is_counted(values: np.ndarray) -> bool:
+    """Whether numbers count from 0 or 1."""
+    return values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values)))
+
+
+def _has_even_edges(values: np.ndarray) -> bool:
     """Whether the first row and the first column without the corner have even steps."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 
-def _at_positions(
-    inner: np.ndarray, x: np.ndarray, y: np.ndarray, file: Path
-) -> tuple[np.ndarray, tuple[float, float] | None]:
+def _at_positions(inner: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
     """Return values in the order of the picture, and their pitch; numbers of rows and columns are no positions."""
-    if not text_table.is_even(x) or not text_table.is_even(y):
-        raise refusal(file, "has a first row or a first column of words or uneven positions; remove them")
-    dx, dy = x[1] - x[0], y[1] - y[0]
-    if dx == dy == 1.0 and x[0] in (0.0, 1.0) and y[0] in (0.0, 1.0):
+    if _is_counted(x) and _is_counted(y):
         return inner, None
+    dx, dy = x[1] - x[0], y[1] - y[0]
     # Positions grow to the right and upwards.
     return inner[:: -1 if dy > 0.0 else 1, :: 1 if dx > 0.0 else -1], (abs(dy), abs(dx))
 
