@@ -257,7 +257,7 @@ def test_headers_that_were_written_later(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
     np.testing.assert_allclose(scan.pitch_um, pitch)
     if pitch == (0.1, 0.1):
-        # What is not clear is never guessed.
+        # An unclear size is never guessed.
         with pytest.raises(ValueError, match="exactly one of extent_um"):
             HeightField.load(tmp_path / "a.txt", unit=options.get("unit"))
 

@@ -232,7 +232,7 @@ def _add_unit(facts: Facts, line: str) -> None:
             facts.lateral = facts.lateral if unit is None else unit
         elif key in _UNITS_Z and unit is None:
             facts.not_length = facts.not_length or text
-        elif key in _UNITS_Z:
+        elif key in _UNITS_Z and unit is not None:
             facts.units.add(unit)
             facts.global_unit = unit if key in _GLOBAL_UNITS else facts.global_unit
     # "Height [µm]: 10" is a size.
@@ -302,7 +302,7 @@ def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
     lines = [line for line in header[-3:] if len(line) <= _MOST_LENGTH]
     for index in range(len(lines) - 1, -1, -1):
         for cells in _cells(lines[index], form):
-            axes = {}
+            axes: dict[str, int] = {}
             for position, cell in enumerate(cells):
                 match = _COLUMN.match(cell)
                 if match:

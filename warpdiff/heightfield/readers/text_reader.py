@@ -317,20 +317,22 @@ def _grid(
     file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
 ) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
     """Return positions and steps of an even grid of points along x and y; None, or an error, if there is none."""
+    reason = _why_no_grid(x, y)
+    if reason and is_named:
+        raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
+    along_x, along_y = (None, None) if reason else (text_table.even_steps(x), text_table.even_steps(y))
+    return None if along_x is None or along_y is None else (along_x, along_y)
 
-    def none(reason: str) -> None:
-        if is_named:
-            raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
 
+def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
+    """Return why points are on no even grid; an empty string if they are on one."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        return none("without a position")
+        return "without a position"
     along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
     if along_x is None or along_y is None:
-        return none("on no even grid")
+        return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
     if not len(x) >= _LEAST_FILLED * nx * ny:
-        return none(f"at {len(x)} of the {nx} × {ny} positions of a grid")
+        return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
-    if len(np.unique(nodes)) < len(nodes):
-        return none("at equal positions")
-    return along_x, along_y
+    return "at equal positions" if len(np.unique(nodes)) < len(nodes) else ""

@@ -280,5 +280,5 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
             continue
         step = (high - low) / count  # noqa: PLW2901 (the sum of rounded steps is more precise)
         if np.all(np.abs(distinct / step - np.round(distinct / step)) <= 0.1):
-            return low + step * np.arange(count + 1), step
+            return low + step * np.arange(count + 1, dtype=np.float64), step
     return None

@@ -28,6 +28,7 @@ _MOST_DEPTH = 32
 # Number of members of an archive above which a file is refused; files have about 5.
 _MOST_MEMBERS = 1000
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
+# Number of µm in the unit of the format, the metre.
 _UM_PER_M = 1e6
 _HEADER, _ARCHIVE, _RESOURCES = "main.xml", b"PK\x03\x04", "__MACOSX"
 # Entries of the header that become metadata.
