@@ -139,8 +139,8 @@ def _orientation(heightfield: HeightField) -> str:
     if source is None:
         return "row 0 at y = 0, z towards the viewer"
     which = repr(Path(source.path).name) if source.path else "the topography"
-    place = "the top of the picture, y = Ly" if source.rows == "up" else "y = 0"
-    return f"row 0 of {which} at {place} (rows={source.rows!r})"
+    place = "at the top, the largest y" if source.rows == "up" else "at y = 0"
+    return f"row 0 of {which} {place} (rows={source.rows!r})"
 
 
 def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:

@@ -136,7 +136,7 @@ class HeightField:
             channel: Name of a channel, one of :meth:`channels`. None, the default, is the first channel of heights.
             rows: Orientation: ``"down"`` puts row 0 of the file at y = 0, ``"up"`` makes row 0 the top of the picture,
                 so that the surface has the handedness of the specimen. None is ``"up"`` for instruments and for texts
-                that state their size, and ``"down"`` for images and arrays.
+                that state a unit, and ``"down"`` for images and arrays.
             unit: Unit of the numbers of a text that does not state it: ``"nm"``, ``"um"``, ``"mm"``, ``"m"``,
                 ``"Å"`` or ``"pm"``. Without a pitch it also is the unit of the positions x and y.
 

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_header import Columns, Facts
     from warpdiff.heightfield.readers.text_table import Block
 
-# Memory at the peak while a text is read, per byte of the text: letters, lines and numbers, as measured. A doubled
+# Memory at the peak while a text is read, per byte of the text, as measured for numbers of one digit. A doubled
 # value refuses texts that fit.
-_BYTES_PER_LETTER = 8.0
+_BYTES_PER_LETTER = 18.0
 # Number of rows above which three columns without a header are no scan: its width would be three samples.
 _MOST_NARROW_ROWS = 9
 # Ratio of the pitches along x and y above which a header is not believed. If doubled, some ranges of heights are
@@ -166,7 +166,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     unit = facts.unit
     return FileContent(
         np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
-        rows="down" if pitch is None and label_pitch is None else "up", has_unit=unit is not None,
+        rows="down" if pitch is label_pitch is unit is None else "up", has_unit=unit is not None,
         pitch_in_unit=label_pitch if pitch is None else None, metadata=_metadata(facts),
     )  # fmt: skip
 
