@@ -111,7 +111,7 @@ def names_page() -> str:
 def formats_page() -> str:
     """Return the table of file formats of height fields, from the registry of readers."""
     lines = ["| format | suffixes | the file states, and you state | extra |", 4 * "| --- " + "|"]
-    for entry in reader_registry.registered():
+    for entry in sorted(reader_registry.registered(), key=lambda entry: (bool(entry.extra), entry.title)):
         suffixes = ", ".join(f"`{suffix}`" for suffix in entry.suffixes)
         extra = f"`{entry.extra}`" if entry.extra else ""
         lines.append(f"| {cell(entry.title)} | {suffixes} | {cell(entry.states)} | {extra} |")

@@ -166,6 +166,10 @@ EXPORTS = {
     "double line ends": Export(NM + table(GRID).replace("\n", "\r\r\n")),
     "numbers above the matrix": Export("4 3\n" + table(np.hstack([GRID, GRID])), heights=1e-3 * np.hstack([GRID, GRID]),
                                        **STATED),
+    "numbers above the header": Export("3 4 7 8\nscan\n" + NM + table(GRID)),
+    "a size in the first header alone": Export(
+        "# Width: 1 µm\n# Height: 1.5 µm\n# Value units: nm\nTrace\n" + table(GRID) + "Retrace\n" + table(2.0 * GRID)
+    ),
     "statistics below": Export(NM + table(GRID) + "\nMean 4.3\nRms 1.2\n"),
     # Points.
     "points with units in brackets": Export("x (µm), y (µm), z (nm)\n" + points(GRID, 0.25, 0.5, ","), suffix=".csv"),
@@ -387,6 +391,12 @@ def test_channels_of_a_text(tmp_path: Path) -> None:
     second = NM.replace("Channel: Z", "Channel: Retrace") + table(2.0 * GRID)
     path.write_text(NM + table(GRID) + "\n" + second + "\n" + NM + table(3.0 * GRID), encoding="utf-8")
     assert HeightField.channels(path) == ("Z", "Retrace", "Z (3)")
+    plain = tmp_path / "b.txt"
+    phase = NM.replace("Channel: Z", "Channel: Phase").replace(": nm", ": deg") + table(2.0 * GRID)
+    plain.write_text(phase + NM + table(GRID), encoding="utf-8")
+    assert HeightField.channels(plain) == ("Z", "Phase")
+    with pytest.raises(ValueError, match="values in 'deg', which is no unit of length"):
+        HeightField.load(plain, channel="Phase")
     for channel, factor in ((None, 1.0), ("Retrace", 2.0), ("Z (3)", 3.0)):
         scan = HeightField.load(path, channel=channel)
         np.testing.assert_allclose(scan.heights_um[::-1], 1e-3 * factor * GRID)

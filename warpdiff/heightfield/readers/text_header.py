@@ -112,6 +112,7 @@ class Facts:
     Attributes:
         size_x: Width.
         size_y: Height of the field.
+        size_of_both: One size, for both axes.
         pitch_x: Distance of samples along x.
         pitch_y: Distance of samples along y.
         count_x: Number of columns.
@@ -128,6 +129,7 @@ class Facts:
 
     size_x: float | None = None
     size_y: float | None = None
+    size_of_both: float | None = None
     pitch_x: float | None = None
     pitch_y: float | None = None
     count_x: int | None = None
@@ -283,7 +285,7 @@ def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
         facts.add("pitch_x", length, names_axis=False)
         facts.add("pitch_y", length, names_axis=False)
     elif key in _BOTH_SIZES:
-        facts.metadata.setdefault("_size", str(length))
+        facts.size_of_both = length
     elif text is not None:
         return length
     return None

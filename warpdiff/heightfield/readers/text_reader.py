@@ -59,21 +59,13 @@ def read_text(file: Path) -> FileContent | Channels:
     if form is None:
         raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")
     blocks = text_table.blocks_of(lines, form)
-    largest = max(blocks, key=lambda block: block.values.size)
-    shape = largest.values.shape
-    same = [block for block in blocks if block.values.shape[1] == shape[1]] if min(shape) > 1 else [largest]
-    if any(block.values.shape != shape for block in same if len(block.values) > 1 or block.above is None):
-        second = next(block for block in same[1:])
-        raise refusal(file, f"has text between its rows of numbers, before line {second.line}; remove it")
-    same = [block for block in same if block.values.shape == shape]
-    if len(same) == 1:
-        same = [largest]
-    facts = [text_header.facts_of(block.header, form) for block in same]
+    same = _equal_blocks(file, blocks)
+    facts = [_facts_of(block, form, blocks[0].header) for block in same]
     # Channels of heights come first.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
-        read = functools.partial(_content, file, same[k], form, blocks[0].header, lines[:_ZYGO_LINES])
+        read = functools.partial(_content, file, same[k], form, facts[k], _zygo_pitch(lines[:_ZYGO_LINES]))
         name = facts[k].channel or (_title(same[k].header) if len(same) > 1 else "")
         if not name and len(same) == 1:
             return read()
@@ -83,27 +75,43 @@ def read_text(file: Path) -> FileContent | Channels:
     return channels
 
 
+def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
+    """Return the largest block, and others of its shape; refuse other parts of as many columns."""
+    largest = max(blocks, key=lambda block: block.values.size)
+    shape = largest.values.shape
+    if min(shape) < 2:
+        return [largest]
+    same = [block for block in blocks if block.values.shape[1] == shape[1]]
+    # Single rows before the first matrix belong to a header.
+    while len(same[0].values) == 1:
+        del same[0]
+    if any(block.values.shape != shape for block in same):
+        raise refusal(file, f"has text between its rows of numbers, before line {same[1].line}; remove it")
+    return same
+
+
+def _facts_of(block: Block, form: Form, first_header: list[str]) -> Facts:
+    """Return the facts of the header of a block; sizes and units may be in the first header of the file alone."""
+    facts = text_header.facts_of(block.header, form)
+    if not facts.has_scale and first_header is not block.header:
+        first = text_header.facts_of(first_header, form)
+        for name in ("size_x", "size_y", "size_of_both", "pitch_x", "pitch_y"):
+            setattr(facts, name, getattr(first, name))
+        if not facts.units and not facts.not_length:
+            facts.units |= first.units
+    return facts
+
+
 def _title(header: list[str]) -> str:
     """Return the last line before a matrix if it is a title: at most four words."""
     text = header[-1].strip().strip('#%"[]:;, \t') if header else ""
     return text if re.fullmatch(r"[^\W\d_]+(?: [^\W\d_]+){0,3}", text) else ""
 
 
-def _content(file: Path, block: Block, form: Form, first_header: list[str], top: list[str]) -> FileContent:
+def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | None) -> FileContent:
     """Return the heights of a block of numbers."""
     _check_block(file, block, form)
-    facts = text_header.facts_of(block.header, form)
-    if not facts.has_scale and first_header is not block.header:
-        first = text_header.facts_of(first_header, form)
-        facts.size_x, facts.size_y, facts.pitch_x, facts.pitch_y = (
-            first.size_x,
-            first.size_y,
-            first.pitch_x,
-            first.pitch_y,
-        )
-        facts.units |= set() if facts.units or facts.factor else first.units
     values = block.values
-    zygo = _zygo_pitch(top)
     columns = text_header.columns_of(block.header, form, values.shape[1])
     if columns is None and values.shape[1] in (3, 4) and not facts.has_scale:
         columns = text_header.Columns((0, 1, 2), (None, None, None))
@@ -167,7 +175,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     return FileContent(
         np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
         rows="down" if pitch is label_pitch is unit is None else "up", has_unit=unit is not None,
-        pitch_in_unit=label_pitch if pitch is None else None, metadata=_metadata(facts),
+        pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata,
     )  # fmt: skip
 
 
@@ -185,10 +193,9 @@ def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
         return None
     dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
     dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
-    size = facts.metadata.get("_size")
     # One size for both axes is clear only if they have equally many samples.
-    if size is not None and nx == ny:
-        dx, dy = dx or float(size) / nx, dy or float(size) / ny
+    if facts.size_of_both is not None and nx == ny:
+        dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
     # A height of the field that is 50 times its width is rather the range of the heights.
     is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
     return (dy, dx) if is_likely else None  # type: ignore[return-value]
@@ -199,11 +206,6 @@ def _contradict(size: float | None, pitch: float | None, count: int) -> bool:
     if size is None or pitch is None:
         return False
     return not (1.0 - _MOST_DIFFERENCE) * (count - 1) <= size / pitch <= (1.0 + _MOST_DIFFERENCE) * count
-
-
-def _metadata(facts: Facts) -> dict[str, str]:
-    """Return the lines of a header as text by key."""
-    return {key: value for key, value in facts.metadata.items() if key != "_size"}
 
 
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
@@ -309,7 +311,7 @@ def _of_points(
         own = dy, dx
     return FileContent(
         heights if unit_z is None else unit_z * heights, pitch, rows="up", has_unit=unit_z is not None,
-        pitch_in_unit=own, metadata=_metadata(facts),
+        pitch_in_unit=own, metadata=facts.metadata,
     )  # fmt: skip
 
 
