@@ -143,6 +143,10 @@ EXPORTS = {
         ",0,1,2,3\n" + "".join(f"{k},{line}\n" for k, line in enumerate(table(TWICE, ",").splitlines())),
         heights=1e-3 * np.vstack([GRID, GRID]), suffix=".csv", **STATED,
     ),
+    "numbers of rows without a heading": Export(
+        "".join(f"{k} {line}\n" for k, line in enumerate(table(TWICE).splitlines())), heights=1e-3 * TWICE, **STATED
+    ),
+    "numbers of columns alone": Export("0,1,2,3\n" + table(GRID, ","), suffix=".csv", **STATED),
     "numbers of few rows": Export(
         "n;a;b;c;d\n" + "".join(f"{k};{line}\n" for k, line in enumerate(table(GRID, ";").splitlines(), 1)), **STATED
     ),
@@ -310,10 +314,6 @@ REFUSED = {
                                          .replace("OVR\t-2", "1.5\tOVR"), "'OVR' among the numbers of its first row"),
     "volts": (GWYDDION.format(x="1 µm", y="1 µm", z="V") + table(GRID), "values in 'V', which is no unit of length"),
     "two matrices without names": (table(GRID) + "\n" + table(GRID), "2 blocks of numbers with blank lines between"),
-    "row numbers without a heading": (
-        "".join(f"{k} {line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID, GRID])).splitlines())),
-        "a first column that numbers the rows",
-    ),
     "thousands": ("1,234.5;2,345.5;1,000.5\n3,234.5;4,345.5;2,000.5\n", "has no rows of numbers|unequal"),
     "underscores": ("1_0 2_0 3_0\n4_0 5_0 6_0\n", "has no rows of numbers"),
     # Written after the reader was finished.
@@ -414,7 +414,7 @@ def test_rows_of_a_text_go_down_or_up(tmp_path: Path, rows: Any) -> None:
     assert scan.source is not None
     assert (scan.source.rows, scan.source.channel) == (rows, "Z")
     assert scan.source.metadata["Width"] == "1 µm"
-    assert scan.levelled().source == scan.source
+    assert scan.levelled().source == scan.resampled(0.2).source == scan.source
     assert scan.flipped("y").source is scan.rotated().source is None
 
 

@@ -60,6 +60,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text = f"there is no argument {unknown[0]!r}{near or '.'} See warpdiff {options.command} --help"
         say(f" {options.command}: ", text)
         raise SystemExit(2)
+    if "scan" in options and (options.scan is None) == (options.heightfield is None):
+        say(
+            f" {options.command}: ",
+            f"one of HEIGHTFIELD and --heightfield is required. See warpdiff {options.command} --help",
+        )
+        raise SystemExit(2)
     with warnings.catch_warnings():
         warnings.simplefilter("always", wd.WarpdiffWarning)
         warnings.showwarning = lambda message, *_, **__: say(": warning: ", message)
@@ -250,13 +256,11 @@ def _add_height_field(
 ) -> None:
     group = flags.group("height field")
     how: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []} if several else {"default": default}
-    named: Any = group
     if has_position:
-        named = group.add_mutually_exclusive_group(required=True)
-        named.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
+        group.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
     else:
         how["required"] = default is None and not several
-    named.add_argument(
+    group.add_argument(
         "--heightfield", metavar="HEIGHTFIELD",
         help=_HEIGHT_FIELD_HELP + (f" (default: {default})" if default else ""), **how,
     )  # fmt: skip

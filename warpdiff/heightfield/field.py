@@ -155,6 +155,7 @@ class HeightField:
             >>> wd.HeightField.load(file, extent_um=10.0).size_um
             (10.0, 10.0)
         """
+        reader_registry.check_texts(channel, unit)
         file = reader_registry.existing(path)
         content, name = reader_registry.read(file, channel)
         orientation = reader_registry.rows_of(content, rows)
@@ -481,7 +482,9 @@ class HeightField:
         """
         pitch = validation.pair(pitch_um, "pitch_um")
         check_whole(self)
-        return HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
+        field = HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
+        field._source = self._source
+        return field
 
     def periodic(self) -> HeightField:
         """Make opposite edges match, which removes the bright cross along the axes of the spectrum.

@@ -215,6 +215,14 @@ def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(map(repr, names[:_MOST_NAMES])) + more
 
 
+def check_texts(channel: object, unit: object) -> None:
+    """Raise an error for a channel or a unit of a wrong type, and for an unknown unit."""
+    if channel is not None and not isinstance(channel, str):
+        raise ArgumentTypeError(f"{ref('channel')} must be a string, got {type(channel).__name__}")
+    if unit is not None:
+        length_units.factor_um(unit, "unit")
+
+
 def rows_of(content: FileContent, rows: object) -> Rows:
     """Return the orientation of rows: the argument ``rows``, or the default of the file."""
     return content.rows if rows is None else validation.choice(rows, "rows", get_args(Rows))  # type: ignore[return-value]

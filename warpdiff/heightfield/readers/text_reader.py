@@ -218,13 +218,15 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
             raise refusal(file, "has a first row or a first column of words or uneven positions; remove them")
         return _at_positions(inner, x, y)
     first, has_headings = values[:, 0], _has_headings(block, form)
-    if has_headings and _is_counted(first):
-        return values[:, 1:], None
-    is_long = len(values) >= 2 * _LEAST_NUMBERED
-    if has_headings and len(values) > 2 and text_table.is_even(first):
+    if has_headings and not _is_counted(first) and len(values) > 2 and text_table.is_even(first):
         raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
-    if is_long and _is_counted(first) and np.any(values[:, 1:] % 1.0 != 0.0):
-        raise refusal(file, "has a first column that numbers the rows; remove it")
+    # Whole numbers from 0 or 1 on beside fractions are no heights.
+    inner = values[1:, 1:]
+    has_fractions = bool(np.any(np.isfinite(inner) & (inner % 1.0 != 0.0)))
+    if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):
+        return values[:, 1:], None
+    if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
+        return values[1:], None
     # Rows of a plane have even steps too, and all of them.
     if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
         raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
