@@ -194,7 +194,7 @@ def _one_of(make):
 
 # Strategies for arguments that are objects, by argument name.
 def topography(**changes) -> SimpleNamespace:
-    """What SurfaceTopography returns for a map, with changes."""
+    """A map as SurfaceTopography returns it, with changes."""
     known = {"heights": lambda: np.zeros((3, 2)), "physical_sizes": (3.0, 2.0), "unit": "um", "dim": 2}
     return SimpleNamespace(**known | changes)
 

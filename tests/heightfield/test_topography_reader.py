@@ -19,7 +19,7 @@ PICTURE_NM = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 60.0]])
 
 
 def topography(**values: Any) -> SimpleNamespace:
-    """What the library returns for a map."""
+    """A map as the library returns it."""
     known: dict[str, Any] = {
         "heights": lambda: PICTURE_NM.T, "physical_sizes": (600.0, 800.0), "unit": "nm", "dim": 2,
         "info": {"instrument": {"name": "Probe", "serial": None}, "raw_metadata": {"long": "text"}},
@@ -139,6 +139,8 @@ def test_without_the_library_the_error_names_the_extra(tmp_path: Path, monkeypat
      ({"unit": None}, ValueError, "topography must have a size and a unit"),
      ({"unit": "V"}, ValueError, "topography must have a unit of length, got 'V'"),
      ({"physical_sizes": None}, ValueError, "topography must have a size and a unit"),
+     ({"physical_sizes": (0.0, 1.0)}, ValueError, r"topography must have two positive sizes, got \[0\.0, 1\.0\]"),
+     ({"heights": lambda: np.full((3, 2), 1e30)}, ValueError, "topography: heights_um must lie within"),
      ({"heights": lambda: np.zeros((0, 3))}, ValueError, r"must have heights on a grid, got shape \(0, 3\)")],
 )  # fmt: skip
 def test_topographies_that_are_no_maps(values: dict[str, Any], error: type[Exception], message: str) -> None:

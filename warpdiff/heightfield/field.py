@@ -230,9 +230,11 @@ class HeightField:
                 f"{ref('topography')} must have a size and a unit, got size {topography.physical_sizes} and unit "
                 f"{topography.unit!r}; pass its heights to HeightField"
             )
-        return cls._of_content(
-            content, "", "", content.samples, content.pitch_um, reader_registry.rows_of(content, rows)
-        )
+        orientation = reader_registry.rows_of(content, rows)
+        try:
+            return cls._of_content(content, "", "", content.samples, content.pitch_um, orientation)
+        except (ArgumentValueError, ArgumentTypeError) as error:
+            raise ArgumentValueError(f"{ref('topography')}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the height field to a NumPy ``.npz`` file, which :meth:`load` restores exactly.

@@ -174,7 +174,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     unit = facts.unit
     return FileContent(
         np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
-        rows="down" if pitch is label_pitch is unit is None else "up", has_unit=unit is not None,
+        rows="up" if any(fact is not None for fact in (pitch, label_pitch, unit)) else "down", has_unit=unit is not None,
         pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata,
     )  # fmt: skip
 
@@ -220,7 +220,7 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
     first, has_headings = values[:, 0], _has_headings(block, form)
     if has_headings and not _is_counted(first) and len(values) > 2 and text_table.is_even(first):
         raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
-    # Whole numbers from 0 or 1 on beside fractions are no heights.
+    # Whole numbers from 0 or 1 on, next to fractions, are no heights.
     inner = values[1:, 1:]
     has_fractions = bool(np.any(np.isfinite(inner) & (inner % 1.0 != 0.0)))
     if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):

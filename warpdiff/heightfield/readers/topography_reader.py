@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import struct
 from typing import TYPE_CHECKING, Any
 
@@ -198,6 +199,8 @@ def content_of(topography: Any) -> FileContent:
     heights = np.ma.filled(values.astype(np.float64), np.nan).T
     ny, nx = heights.shape
     sizes = None if topography.physical_sizes is None else [float(size) for size in topography.physical_sizes]
+    if sizes is not None and not (len(sizes) == 2 and all(0.0 < size < math.inf for size in sizes)):
+        raise ArgumentValueError(f"{ref('topography')} must have two positive sizes, got {sizes}")
     metadata = _flat(getattr(topography, "info", None) or {})
     if topography.unit is None:
         pitch = None if sizes is None else (sizes[1] / ny, sizes[0] / nx)
