@@ -195,19 +195,6 @@ def test_image_files_of_any_suffix_are_read(tmp_path: Path) -> None:
         HeightField.load(tmp_path / "b.nms")
 
 
-@pytest.mark.parametrize("suffix", ["pfm", "tif", "bmp", "png"])
-def test_rows_of_images_go_down_in_every_format(tmp_path: Path, suffix: str) -> None:
-    from PIL import Image
-
-    samples = np.arange(12, dtype=np.float32 if suffix in ("pfm", "tif") else np.uint8).reshape(3, 4)
-    Image.fromarray(samples).save(tmp_path / f"a.{suffix}")
-    scale = {} if samples.dtype.kind == "f" else {"height_range_um": 255.0}
-    scan = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=100.0, **scale)  # type: ignore[arg-type]
-    np.testing.assert_allclose(scan.heights_um, samples)
-    up = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=100.0, rows="up", **scale)  # type: ignore[arg-type]
-    np.testing.assert_allclose(up.heights_um, samples[::-1])
-
-
 def wsxm(samples: np.ndarray) -> bytes:
     """A file of WSxM: its samples begin at the lower right corner."""
     ny, nx = samples.shape

@@ -66,7 +66,16 @@ def _samples_of(image: Any, file: Path) -> np.ndarray:
         raise refusal(file, f"is damaged ({_reason(image)}); export the image again")
     if image.seek_subimage(1, 0):
         raise refusal(file, "contains several images; save the one with the heights alone")
-    return np.asarray(samples)[..., 0]
+    return _upright(np.asarray(samples)[..., 0], spec.getattribute("Orientation"))
+
+
+def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
+    """Return samples in the order of the displayed picture, by the tag of TIFF and EXIF from 1 to 8."""
+    if orientation not in range(2, 9):
+        return samples
+    turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}
+    flipped = {2: samples[:, ::-1], 3: samples[::-1, ::-1], 4: samples[::-1]}
+    return np.ascontiguousarray((flipped | turned)[orientation])  # type: ignore[index]
 
 
 def _reason(source: Any) -> str:

@@ -174,7 +174,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     unit = facts.unit
     return FileContent(
         np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
-        rows="up" if any(fact is not None for fact in (pitch, label_pitch, unit)) else "down", has_unit=unit is not None,
+        rows="down" if (pitch, label_pitch, unit) == (None, None, None) else "up", has_unit=unit is not None,
         pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata,
     )  # fmt: skip
 
