@@ -237,7 +237,9 @@ LATE: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
     ),
     "the unit of both axes": ("XY unit: µm\nZ unit: nm\nWidth: 7\nHeight: 12\n", {}, (2.0, 1.0)),
     "French": ("Largeur : 7 µm\nHauteur : 12 µm\nUnité : nm\n", {}, (2.0, 1.0)),
-    "axes by their letters": ("X: 7 µm\nY: 12 µm\nZ unit: nm\n", {}, (2.0, 1.0)),
+    "positions of a stage": ("X: 7 µm\nY: 12 µm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "a step of the focus": ("Step: 0.1 µm\nPitch: 0.1 µm\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
+    "a huge number": ("Points: 1e999\nColumns: 1e999\nZ unit: nm\n", {"pitch_um": 0.1}, (0.1, 0.1)),
     "capital letters": ("WIDTH: 7 UM\nHEIGHT: 12 UM\nVALUE UNITS: NM\n", {}, (2.0, 1.0)),
     "a line for spreadsheets": ("sep=;\n", {"unit": "nm", "pitch_um": 0.1}, (0.1, 0.1)),
     "a grid of geography": ("ncols 7\nnrows 6\ncellsize 10\nNODATA_value -9999\n", {"unit": "nm", "pitch_um": 0.1},
@@ -256,12 +258,12 @@ LATE: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
 @pytest.mark.parametrize("name", LATE)
 def test_headers_that_were_written_later(tmp_path: Path, name: str) -> None:
     header, options, pitch = LATE[name]
-    lines = [f"{500 * j};{line}" for j, line in enumerate(LINES)] if name.startswith("positions") else LINES
+    lines = [f"{500 * j};{line}" for j, line in enumerate(LINES)] if name.startswith("positions w") else LINES
     (tmp_path / "a.txt").write_text(header + "\n".join(lines), encoding="utf-8")
     scan = HeightField.load(tmp_path / "a.txt", **options)
     assert scan.source is not None
     # Positions grow upwards, and rows of pictures downwards.
-    is_upright = (scan.source.rows == "up") == name.startswith("positions")
+    is_upright = (scan.source.rows == "up") == name.startswith("positions w")
     np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
     np.testing.assert_allclose(scan.pitch_um, pitch)
     if pitch == (0.1, 0.1):

@@ -62,12 +62,12 @@ def _names(*lines: str) -> frozenset[str]:
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x",
-    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width|x",
+    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width",
 )
 _HEIGHT = _names(
     "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság",
     "korkeus|高さ|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
-    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height|y",
+    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
 )
 _BOTH_SIZES = _names(
     "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
@@ -80,10 +80,11 @@ _PITCH_Y = _names(
     "pixel size y|y pixel size|pixel height|dy|y step|step y|y step size|step size y|y pitch|pitch y|y spacing",
     "spacing y|y increment|increment y|y-increment|y sampling|sampling y|y interval|ypixelsize|pixelsizey",
 )
+# "Step" and "pitch" alone may be those of the focus.
 _BOTH_PITCHES = _names(
-    "pixel size|pixelsize|pixel pitch|pitch|sampling|lateral sampling|sampling interval|sampling distance",
-    "sample spacing|spacing|point spacing|grid spacing|step|step size|increment|xy calibration|xy-calibration",
-    "xy-justierung|calibration|dxy|camera res|camera resolution|pixelgröße|taille de pixel",
+    "pixel size|pixelsize|pixel pitch|lateral sampling|sampling interval|sampling distance|sample spacing|spacing",
+    "point spacing|grid spacing|lateral spacing|lateral step|xy calibration|xy-calibration|xy-justierung|dxy",
+    "xy step|xy pitch|camera res|camera resolution|pixelgröße|taille de pixel",
 )
 _COUNTS_X = _names(
     "w|nx|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres",
@@ -95,14 +96,14 @@ _COUNTS_Y = _names(
 )
 _UNITS_Z = _names(
     "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units",
-    "heightunit|unit of height|unit of heights|data unit|data units|einheit|z einheit|höheneinheit|unité|unités|unità",
-    "unidad|unidades|z-axis unit|z axis unit|heights|values|z",
+    "heightunit|unit of height|unit of heights|data unit|data units|einheit|einheiten",
+    "z einheit|höheneinheit|unité|unités|unità|unidad|unidades|z-axis unit|z axis unit|heights|values|z",
 )
 _UNITS_XY = _names(
     "x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y"
 )
 _FACTORS = _names("z scale|z-scale|zscale|scale z|z factor|z-factor|factor|scale factor|height scale|multiplier|bit2nm")
-_GLOBAL_UNITS = _names("unit|units|einheit")
+_GLOBAL_UNITS = _names("units|einheiten|unités")
 
 
 @dataclass
@@ -199,7 +200,7 @@ def facts_of(header: Sequence[str], form: Form) -> Facts:
     # Gwyddion translates "Width" and "Height", which are two lines before the unit of the heights.
     if not facts.has_scale and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
         match = _WORD.match(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
-        if match and _words(match["key"]) in _UNITS_Z:
+        if match and _words(match["key"]) == "value units":
             facts.size_x, facts.size_y = unnamed[0][1], unnamed[1][1]
     return facts
 
@@ -265,7 +266,7 @@ def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
     unit = facts.lateral if text is None else length_units.factor_of(text)
     if text is None and key in _FACTORS and number != 1.0:
         facts.factor_key = match["key"]
-    if text is None and facts.lateral is None and number == int(number) and 0 < number < 2**31:
+    if text is None and facts.lateral is None and 0 < number < 2**31 and number == int(number):
         facts.count_x = int(number) if key in _COUNTS_X else facts.count_x
         facts.count_y = int(number) if key in _COUNTS_Y else facts.count_y
         return None

@@ -222,7 +222,7 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
         raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
     # Whole numbers from 0 or 1 on, next to fractions, are no heights.
     inner = values[1:, 1:]
-    has_fractions = bool(np.any(np.isfinite(inner) & (inner % 1.0 != 0.0)))
+    has_fractions = bool(np.any(np.mod(inner[np.isfinite(inner)], 1.0)))
     if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):
         return values[:, 1:], None
     if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
