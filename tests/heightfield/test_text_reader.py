@@ -111,6 +111,17 @@ EXPORTS = {
         suffix=".csv", **STATED,
     ),
     "separators at the ends": Export(table(GRID, ";").replace("\n", ";\n"), suffix=".csv", **STATED),
+    "separators at the ends, with empty cells": Export(
+        "columns: 4\n" + table(GAP, ";", gap="").replace("\n", ";\n"), heights=1e-3 * GAP, **STATED
+    ),
+    "separators at the ends, with words for gaps": Export(
+        table(GAP, ";", gap="NaN").replace("\n", ";\n"), heights=1e-3 * GAP, **STATED
+    ),
+    "empty cells in a last column": Export(
+        "columns: 5\n" + table(GAP, ";", gap="").replace("\n", ";\n"), heights=1e-3 * np.pad(GAP, ((0, 0), (0, 1)),
+        constant_values=NAN), **STATED,
+    ),
+    "two rows": Export(table(GRID[:2]), heights=1e-3 * GRID[:2], **STATED),
     "blanks in columns": Export(table(GRID, "  ", form="{:>10.3f}"), **STATED),
     "line ends of Windows, with a mark": Export(
         table(GRID, "\t").replace("\n", "\r\n"), encoding="utf-8-sig", **STATED
@@ -317,6 +328,9 @@ REFUSED = {
     "volts": (GWYDDION.format(x="1 µm", y="1 µm", z="V") + table(GRID), "values in 'V', which is no unit of length"),
     "two matrices without names": (table(GRID) + "\n" + table(GRID), "2 blocks of numbers with blank lines between"),
     "thousands": ("1,234.5;2,345.5;1,000.5\n3,234.5;4,345.5;2,000.5\n", "has no rows of numbers|unequal"),
+    "an empty column that may be missing": (
+        table(GAP, ";", gap="").replace("\n", ";\n"), "has an empty first or last column"
+    ),
     "underscores": ("1_0 2_0 3_0\n4_0 5_0 6_0\n", "has no rows of numbers"),
     # Written after the reader was finished.
     "a matrix of columns": ("X Size\t7\nY Size\t6\n" + table(BIG.T, "\t"), "6 columns, and its header states 7"),

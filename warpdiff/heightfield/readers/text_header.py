@@ -170,6 +170,11 @@ class Facts:
         return next(iter(self.units)) if len(self.units) == 1 else None
 
 
+def is_statement(line: str) -> bool:
+    """Whether a line states a fact, such as "heights in nm", and has no headings of columns."""
+    return any(sign in line for sign in ":=") or re.search(r"\bin\b", line) is not None
+
+
 def value_of(text: str) -> float:
     """Return the number of a header, whose decimal sign may be a comma."""
     return float(text.replace(",", ".").upper().replace("D", "E"))

@@ -157,6 +157,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     if not facts.has_scale and (width == 3 < _MOST_NARROW_ROWS < rows or (width <= 4 and _has_headings(block, form))):
         raise refusal(file, f"has {width} columns, which are neither a matrix nor points x, y, z on an even grid")
     values, label_pitch = _without_labels(file, block, form)
+    values = _with_outer_columns(file, values, block.outer, facts.count_x)
     ny, nx = values.shape
     for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
         if count is not None and count != actual:
@@ -179,10 +180,21 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     )  # fmt: skip
 
 
+def _with_outer_columns(file: Path, values: np.ndarray, outer: tuple[int, int], count: int | None) -> np.ndarray:
+    """Return values with the empty columns around them, if the header counts these; refuse them if it has no count."""
+    if not any(outer) or count == values.shape[1]:
+        return values
+    if count == values.shape[1] + sum(outer):
+        return np.pad(values, ((0, 0), outer), constant_values=np.nan)
+    raise refusal(
+        file, "has an empty first or last column, of separators or of missing samples; write NaN for missing samples"
+    )
+
+
 def _has_headings(block: Block, form: Form) -> bool:
     """Whether the line above the numbers has a word for each column, or for each but the first."""
     words = [cell for cell in (form.cells(block.header[-1]) if block.header else []) if cell]
-    is_key = any(sign in block.header[-1] for sign in ":=") if block.header else True
+    is_key = not block.header or text_header.is_statement(block.header[-1])
     width = block.values.shape[1]
     return not is_key and len(words) in (width, width - 1) and all(form.number(word) is None for word in words)
 
@@ -336,7 +348,8 @@ def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
     if along_x is None or along_y is None:
         return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
-    if not len(x) >= _LEAST_FILLED * nx * ny:
+    # Two or three rows of a matrix are as many points on a diagonal.
+    if len(x) < 4 or len(x) <= max(nx, ny) or len(x) < _LEAST_FILLED * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
     return "at equal positions" if len(np.unique(nodes)) < len(nodes) else ""

@@ -151,6 +151,7 @@ class Block:
         line: Number of the line of its first row, from 1.
         is_cut: Whether a row of another length follows directly.
         above: Numbers of the row of another length directly above; None if there is none.
+        outer: Numbers of empty columns before and behind, which are separators or missing samples.
         odd_cell: A cell among the numbers that is no number, with its line; None if there is none.
     """
 
@@ -160,6 +161,7 @@ class Block:
     line: int
     is_cut: bool = False
     above: NDArray[np.float64] | None = None
+    outer: tuple[int, int] = (0, 0)
     odd_cell: tuple[str, int] | None = None
 
 
@@ -192,7 +194,7 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
     """Return the blocks of numbers."""
-    lines = _without_outer_separators(lines, form)
+    lines, outer = _without_outer_separators(lines, form)
     result: list[Block] = []
     header: list[str] = []
     rows: list[NDArray[np.float64]] = []
@@ -203,7 +205,7 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
     def close(*, is_cut: bool) -> None:
         nonlocal above
         if rows:
-            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut, above))
+            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut, above, outer))
             above = rows[-1] if is_cut else None
             header.clear()
             rows.clear()
@@ -243,18 +245,26 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
     return odd[0] if 2 * len(odd) <= width else None
 
 
-def _without_outer_separators(lines: Sequence[str], form: Form) -> Sequence[str]:
-    """Return lines without the separators that end, or begin, each line of numbers."""
-    if form.separator is None:
-        return lines
-    rows = [line for line in lines if len(form.row(line) or ()) > 1]
-    ends = bool(rows) and all(line.rstrip(" ").endswith(form.separator) for line in rows)
-    begins = bool(rows) and all(line.lstrip(" ").startswith(form.separator) for line in rows)
+def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], tuple[int, int]]:
+    """Return lines without the separators that begin, or end, each line of numbers, and how many could be gaps.
+
+    An empty first or last column may also be one of missing samples, if other cells are empty.
+    """
+    separator = form.separator
+    if separator is None:
+        return lines, (0, 0)
+    rows = [line.strip(" ") for line in lines if len(form.row(line) or ()) > 1]
+    begins = bool(rows) and all(line.startswith(separator) for line in rows)
+    ends = bool(rows) and all(line.endswith(separator) for line in rows)
+    if not begins and not ends:
+        return lines, (0, 0)
+    inner = [line[begins : len(line) - ends].replace(" ", "") for line in rows]
+    has_gaps = any(2 * separator in line or line.startswith(separator) or line.endswith(separator) for line in inner)
     if ends:
-        lines = [line.rstrip(" ").removesuffix(form.separator) for line in lines]
+        lines = [line.rstrip(" ").removesuffix(separator) for line in lines]
     if begins:
-        lines = [line.lstrip(" ").removeprefix(form.separator) for line in lines]
-    return lines
+        lines = [line.lstrip(" ").removeprefix(separator) for line in lines]
+    return lines, (int(begins and has_gaps), int(ends and has_gaps))
 
 
 def is_even(values: NDArray[np.float64]) -> bool:
