@@ -12,6 +12,7 @@ BENCH_STAMP := $(VENV)/.stamp-bench
 BROWSER_STAMP := $(VENV)/.stamp-browser
 DASK_STAMP := $(VENV)/.stamp-dask
 MITSUBA_STAMP := $(VENV)/.stamp-mitsuba
+SCANS_STAMP := $(VENV)/.stamp-scans
 DOCS_STAMP := $(VENV)/.stamp-docs
 MINUTES ?= 60
 # Workers share the cores: threads of linear algebra would wait for those of other workers, busily.
@@ -20,7 +21,7 @@ PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxpr
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-dask test-mitsuba soak test-lowest lint bench docs clean
+.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak test-lowest lint bench docs clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
@@ -45,6 +46,9 @@ test-dask: $(DASK_STAMP) ## test frames drawn by the workers of a cluster
 
 test-mitsuba: $(MITSUBA_STAMP) ## test the bridge to Mitsuba; needs LLVM, 17 or newer (Debian: libllvm19)
 	$(BIN)/python -m pytest -m mitsuba tests/apps/mitsuba
+
+test-scans: $(SCANS_STAMP) ## test files of instruments, which another library reads
+	$(BIN)/python -m pytest -m scans tests/heightfield
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
 	$(BIN)/python -m bench.dev.soak --minutes $(MINUTES)
@@ -123,6 +127,10 @@ $(DOCS_STAMP): pyproject.toml | $(BIN)/python
 
 $(MITSUBA_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[test$(COMMA)mitsuba])
+	@touch $@ $(TEST_STAMP)
+
+$(SCANS_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test$(COMMA)scans])
 	@touch $@ $(TEST_STAMP)
 
 $(LINT_STAMP): pyproject.toml | $(BIN)/python

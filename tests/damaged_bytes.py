@@ -5,12 +5,14 @@ remains in the folder.
 """
 
 import contextlib
+import gzip
 import json
 import re
 import signal
 import sys
 import time
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +42,46 @@ def scans():
         output.open(name, oiio.ImageSpec(12, 9, 1, kind))
         output.write_image(((waves + 3.0) / 6.0).astype(np.float32)[:, :, None])
         output.close()
+    exports()
     return sorted(Path().iterdir())
+
+
+def exports():
+    """Texts and .x3p files, as instruments export them, which are half of the scans."""
+    rng = np.random.default_rng(1)
+    heights = np.round(20.0 * rng.normal(size=(7, 6)), 2)
+    rows = [" ".join(map(str, row)) for row in heights]
+    header = "# Channel: Z\n# Width: 1.2 µm\n# Height: 1400 nm\n# Value units: nm\n"
+    Path("export-gwyddion.txt").write_text(header + "\n".join(rows), encoding="utf-8")
+    Path("export-two.txt").write_text((header + "\n".join(rows) + "\n") * 2, encoding="utf-16")
+    Path("export-german.csv").write_text(
+        "Breite;1,2;µm\nHöhe;1,4;µm\nEinheit;nm\n" + "\n".join(rows).replace(" ", ";").replace(".", ","),
+        encoding="cp1252",
+    )
+    points = (f"{0.2 * i:.1f},{0.2 * j:.1f},{1e-3 * z:.5f}" for (j, i), z in np.ndenumerate(heights))
+    Path("export-points.xyz").write_text("x [um],y [um],z [um]\n" + "\n".join(points), encoding="utf-8")
+    Path("export-small.txt.gz").write_bytes(gzip.compress((header + "\n".join(rows)).encode()))
+    for name, data in (("export-list.x3p", True), ("export-binary.x3p", False)):
+        with zipfile.ZipFile(name, "w", zipfile.ZIP_STORED if data else zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("main.xml", x3p_header(1e-9 * heights if data else None))
+            if not data:
+                archive.writestr("bindata/data.bin", (1e-9 * heights).tobytes())
+                archive.writestr("bindata/valid.bin", np.packbits(heights > -50.0, bitorder="little").tobytes())
+
+
+def x3p_header(heights):
+    """The header of a file of 6 × 7 samples, with the heights in it or in another member."""
+    link = "<PointDataLink>bindata/data.bin</PointDataLink><ValidPointsLink>bindata/valid.bin</ValidPointsLink>"
+    data = f"<DataLink>{link}</DataLink>"
+    if heights is not None:
+        data = "<DataList>" + "".join(f"<Datum>{z:.3e}</Datum>" for z in heights.ravel()) + "</DataList>"
+    axis = "<{0}><AxisType>I</AxisType><DataType>D</DataType><Increment>2e-7</Increment></{0}>"
+    return (
+        '<?xml version="1.0"?><p:ISO5436_2 xmlns:p="http://www.opengps.eu/2008/ISO5436_2"><Record1><FeatureType>SUR'
+        f"</FeatureType><Axes>{axis.format('CX')}{axis.format('CY')}<CZ><AxisType>A</AxisType><DataType>D</DataType></CZ>"
+        "</Axes></Record1><Record3><MatrixDimension><SizeX>6</SizeX><SizeY>7</SizeY><SizeZ>1</SizeZ></MatrixDimension>"
+        f"{data}</Record3></p:ISO5436_2>"
+    )
 
 
 def meshes():
@@ -64,8 +105,9 @@ def meshes():
 def read_scan(path):
     """Load a height-field file, and check that all heights not marked as missing are finite."""
     integers = re.search("uint|i4", path.name)
+    has_pitch = path.suffix == ".npz" or path.name.startswith("export")
     heightfield = wd.HeightField.load(
-        path, pitch_um=None if path.suffix == ".npz" else 0.1, height_range_um=0.3 if integers else None
+        path, pitch_um=None if has_pitch else 0.1, height_range_um=0.3 if integers else None
     )
     assert np.isfinite(heightfield.heights_um[~heightfield.missing]).all()
 
@@ -143,8 +185,10 @@ def main(kind, seed, count, seconds, folder):
         try:
             read(path)
         except (ValueError, OSError, MemoryError) as error:
-            # The error message must name the mesh file, even if its texture or buffer file is damaged.
-            if not any(file.stem in str(error) for file in sound):
+            # The error of a mesh names the mesh file, even if its texture or buffer file is damaged. The error of an
+            # export whose size was damaged names the argument that is missing.
+            is_named = any(file.stem in str(error) for file in sound)
+            if not is_named and not (path.stem.startswith("export") and "extent_um" in str(error)):
                 wrong.append(f"{tried - 1}: {path}: {error!r}")
         except Exception as error:
             wrong.append(f"{tried - 1}: {path}: {error!r}")

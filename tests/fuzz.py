@@ -8,6 +8,7 @@ import functools
 import inspect
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
@@ -191,8 +192,19 @@ def _one_of(make):
     return st.deferred(lambda: st.sampled_from(list(make())))
 
 
+def topography(**changes) -> SimpleNamespace:
+    """A map as SurfaceTopography returns it, with changes."""
+    known = {"heights": lambda: np.zeros((3, 2)), "physical_sizes": (3.0, 2.0), "unit": "um", "dim": 2}
+    return SimpleNamespace(**known | changes)
+
+
+_TOPOGRAPHIES = [
+    topography(), topography(unit="V"), topography(unit=None), topography(dim=1), topography(physical_sizes=None),
+    topography(physical_sizes=(0.0, math.nan)), topography(heights=lambda: np.zeros(3)), "scan.sur",
+]  # fmt: skip
 # Hypothesis strategies for arguments that are objects, by argument name.
 OBJECTS = {
+    "topography": st.sampled_from(_TOPOGRAPHIES),
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
     "coherence": _one_of(_coherences), "plan": _one_of(_plans), "shots": st.lists(_one_of(_shots), max_size=3),
     "lobes": _one_of(lambda: [lobes()]), "illuminant": _TEXTS, "heights_um": _HEIGHTS,
@@ -277,6 +289,7 @@ LEGAL = {
     "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,
     "segments_along": 12, "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
     "scattering_vectors": [[0.1, 0.2, -1.5]], "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
+    "topography": topography(),
     "position": (0.0, 0.0, 2.0), "delta_e": 10.0, "n": 1.5, "angle_deg": 30.0, "sun_direction": (1.0, 1.0, 0.0),
 }  # fmt: skip
 LEGAL_OF = {

@@ -8,6 +8,7 @@ from pathlib import Path
 import warpdiff as wd
 from warpdiff.apps import cli
 from warpdiff.core.options import REQUIRED, describe
+from warpdiff.heightfield.readers import reader_registry
 from warpdiff.request import settings
 
 # Classes of settings with the public functions that accept them, from general settings to those of pictures.
@@ -36,7 +37,11 @@ GROUPS = {
 
 
 # Names for contributors who extend the library. They are not attributes of the package ``warpdiff``.
-EXTENSION_POINTS = ["warpdiff.lights.base.Light", "warpdiff.heightfield.readers.register_reader"]
+EXTENSION_POINTS = ["warpdiff.lights.base.Light", "warpdiff.heightfield.readers.reader_registry.register_reader"]
+FORMATS = (
+    "Formats that `HeightField.load` reads. Images of other suffixes, and files of Bruker Nanoscope with numbers as "
+    "suffixes, are recognised by their content."
+)
 LITERAL = re.compile(r"(``.*?``)")
 
 
@@ -103,6 +108,16 @@ def names_page() -> str:
     return "\n".join([*lines, *(f"   {name}" for name in EXTENSION_POINTS), "```", ""])
 
 
+def formats_page() -> str:
+    """Return the table of file formats of height fields, from the registry of readers."""
+    lines = ["| format | suffixes | the file states, and you state | extra |", 4 * "| --- " + "|"]
+    for entry in sorted(reader_registry.registered(), key=lambda entry: (bool(entry.extra), entry.title)):
+        suffixes = ", ".join(f"`{suffix}`" for suffix in entry.suffixes)
+        extra = f"`{entry.extra}`" if entry.extra else ""
+        lines.append(f"| {cell(entry.title)} | {suffixes} | {cell(entry.states)} | {extra} |")
+    return "\n".join([*lines, ""])
+
+
 def keep_bars(_app, _what, _name, _object, _options, lines: list[str]) -> None:
     """Escape the bars of formulas such as |w|. reStructuredText would interpret them as substitutions."""
     for k, line in enumerate(lines):
@@ -114,6 +129,11 @@ def write(app, _config) -> None:
     pages = {
         "api": ("Public names", "Import the package as `import warpdiff as wd`. Each name has a page.", names_page()),
         "options": ("Options of the functions", "Keyword arguments with their ranges and defaults.", options_page()),
+        "formats": (
+            "Formats of height fields",
+            FORMATS,
+            formats_page(),
+        ),
         "command_line": ("Command line", "`warpdiff COMMAND --help` prints these texts.", command_line_page()),
     }
     for name, (title, first, text) in pages.items():

@@ -236,6 +236,72 @@ def test_omitted_options_have_the_defaults_of_the_library():
         assert given(options, describe(wd.Image.save)) == {}
 
 
+PITCHES = (["0.3", "0.15"], ["0.3x0.15"], ["0.3,0.15"], ["0.3×0.15"])
+READING = {
+    "render": ["tube", "-o", "a.png"], "sequence": ["tube", "-o", "a"], "brdf": ["-o", "a.png"], "info": [],
+    "export-html": ["a.html", "tube"], "view": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", READING)
+@pytest.mark.parametrize("flag", ["--pitch-um", "--extent-um"])
+def test_pixels_need_not_be_square_on_any_command(command, flag):
+    name = flag.removeprefix("--").replace("-", "_")
+    for words, value in [*((pitch, (0.3, 0.15)) for pitch in PITCHES), (["0.3"], 0.3)]:
+        arguments = [command, *READING[command], "--heightfield", "a.npy", flag, *words]
+        options = cli._parser(arguments).parse_args(arguments)
+        assert given(options, describe(wd.HeightField.load)) == {name: value}
+    for words in (["0.3", "0.15", "1"], ["1x2x3"]):
+        arguments = [command, *READING[command], "--heightfield", "a.npy", flag, *words]
+        options = cli._parser(arguments).parse_args(arguments)
+        with pytest.raises(ValueError, match=f"{name} must be one number or two, got 3"):
+            given(options, describe(wd.HeightField.load))
+
+
+@pytest.mark.parametrize(("words", "size"), [
+    (["--pitch-um", "0.3", "0.15"], "4.5 × 6 µm"), (["--pitch-um", "0.3x0.15"], "4.5 × 6 µm"),
+    (["--extent-um", "6,4.5"], "4.5 × 6 µm"), (["--extent-um", "3", "4.5"], "4.5 × 3 µm"),
+])  # fmt: skip
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
+def test_info_of_pixels_that_are_not_square(tmp_path, capsys, words, size):
+    # With a gap there is no plan, which would take a second.
+    heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
+    heights[3, 4] = np.nan
+    np.save(tmp_path / "a.npy", heights)
+    assert run("info", tmp_path / "a.npy", *words) == 0
+    out = capsys.readouterr().out
+    assert f"size              {size} (x × y)" in out
+    assert "orientation       row 0 of 'a.npy' at y = 0 (rows='down')" in out
+
+
+@pytest.mark.parametrize("words", [["0.3x"], ["axb"], ["0.3;0.15"]])
+def test_a_pitch_that_is_no_number_is_refused(words, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["info", "--heightfield", "a.npy", "--pitch-um", *words])
+    assert "--pitch-um must be a number, got" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
+def test_info_of_a_text(tmp_path, capsys):
+    rows = "\n".join(" ".join("NaN" if i == j else f"{20 * np.sin(i + j):.3f}" for i in range(8)) for j in range(5))
+    header = "# Channel: {}\n# Width: 2 µm\n# Height: 1 µm\n"
+    (tmp_path / "a.txt").write_text(f"{header.format('A')}{rows}\n{header.format('B')}{rows}\n", encoding="utf-8")
+    assert run("info", tmp_path / "a.txt", *["--unit", "nm", "--channel", "B", "--rows", "down"]) == 0
+    assert "size              2 × 1 µm (x × y), 8 × 5 samples" in capsys.readouterr().out
+    assert run("info", tmp_path / "a.txt") == 2
+    assert "--unit must be given" in capsys.readouterr().err
+    assert run("info --unit nm --channel C", tmp_path / "a.txt") == 2
+    assert "--channel must be one of 'A', 'B'" in capsys.readouterr().err
+
+
+def test_a_height_field_is_named_once(capsys):
+    for arguments in (["info"], ["info", "blazed", "--heightfield", "fingers"], ["brdf", "-o", "a.png"]):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code == 2
+        assert "HEIGHTFIELD" in capsys.readouterr().err
+
+
 def test_unknown_options_have_exit_code_2():
     for arguments in ([], ["paint"], ["info"], ["info", "--heightfield", "blazed", "--colour", "red"]):
         with pytest.raises(SystemExit) as stopped:

@@ -10,7 +10,7 @@ import pytest
 
 import warpdiff as wd
 from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.heightfield import readers
+from warpdiff.heightfield.readers import reader_registry
 
 FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
 
@@ -50,7 +50,7 @@ def test_the_page_about_lights(module_of, fingers):
 
 
 def test_the_page_about_readers(module_of, tmp_path, monkeypatch):
-    monkeypatch.setattr(readers, "_readers", dict(readers._readers))
+    monkeypatch.setattr(reader_registry, "_readers", dict(reader_registry._readers))
     module_of("add_a_reader")
     (tmp_path / "scan.foo").write_text("0.25\n0 100 200\n50 150 250\n")
     scan = wd.HeightField.load(tmp_path / "scan.foo")

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import pytest
 
+from warpdiff.heightfield.readers import reader_registry
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
 # Pages that are generated when the documentation is built.
-BUILT = ("reference/api", "reference/options", "reference/command_line", "gallery/index")
+BUILT = ("reference/api", "reference/options", "reference/command_line", "reference/formats", "gallery/index")
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
@@ -23,6 +25,17 @@ def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
     for mark, code in BLOCK.findall(page.read_text(encoding="utf-8")):
         if not mark:
             exec(compile(code, str(page), "exec"), names)  # noqa: S102 (the tested code)
+
+
+def test_the_table_of_formats_is_the_registry():
+    code = (DOCS / "extensions" / "generated_reference.py").read_text(encoding="utf-8")
+    names: dict = {"__name__": "generated_reference"}
+    exec(compile(code, "generated_reference.py", "exec"), names)  # noqa: S102 (the generator)
+    table = names["formats_page"]()
+    assert len(table.splitlines()) == 2 + len(reader_registry.registered())
+    for suffix in (".png", ".npy", ".npz", ".txt", ".x3p", ".sur"):
+        assert f"`{suffix}`" in table
+    assert all(entry.states for entry in reader_registry.registered())
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Files of heights: images, .npy, .npz with a pitch, registered readers, and damaged files."""
 
 import math
+import struct
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +11,11 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
 import pytest
 from conftest import noise, write_image
+from PIL import Image
 
 from warpdiff.heightfield import readers
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.readers import reader_registry
 
 
 def write_channels(path: Path, samples: np.ndarray, channels: int = 1) -> None:
@@ -45,6 +48,56 @@ def test_floating_point_files_are_in_micrometres(tmp_path: Path, suffix: str) ->
     field = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=(0.1, 0.2))
     np.testing.assert_array_equal(field.heights_um, heights)
     assert field.pitch_um == (0.1, 0.2)
+
+
+@pytest.mark.parametrize("suffix", ["pfm", "tif", "bmp", "png"])
+def test_rows_of_images_go_down_in_every_format(tmp_path: Path, suffix: str) -> None:
+    samples = np.arange(12, dtype=np.float32 if suffix in ("pfm", "tif") else np.uint8).reshape(3, 4)
+    Image.fromarray(samples).save(tmp_path / f"a.{suffix}")
+    scale = {} if samples.dtype.kind == "f" else {"height_range_um": 255.0}
+    scan = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=100.0, **scale)  # type: ignore[arg-type]
+    np.testing.assert_allclose(scan.heights_um, samples)
+    up = HeightField.load(tmp_path / f"a.{suffix}", pitch_um=100.0, rows="up", **scale)  # type: ignore[arg-type]
+    np.testing.assert_allclose(up.heights_um, samples[::-1])
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_pfm_stores_the_bottom_row_first(tmp_path: Path, order: str) -> None:
+    heights = np.arange(6, dtype=f"{order}f4").reshape(3, 2)
+    scale = "-1.0" if order == "<" else "1.0"
+    (tmp_path / "a.pfm").write_bytes(f"Pf\n2 3\n{scale}\n".encode() + heights[::-1].tobytes())
+    np.testing.assert_array_equal(HeightField.load(tmp_path / "a.pfm", pitch_um=9.0).heights_um, heights)
+
+
+@pytest.mark.parametrize("name", ["bottom-up.bmp", "top-down.bmp", "bottom-up.tga", "top-down.tga"])
+def test_images_that_store_rows_in_either_order(tmp_path: Path, name: str) -> None:
+    samples = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    is_down, (ny, nx) = name.startswith("top"), samples.shape
+    stored = (samples if is_down else samples[::-1]).tobytes()
+    if name.endswith("bmp"):
+        palette = b"".join(bytes([k, k, k, 0]) for k in range(256))
+        size = struct.pack("<IiiHHIIiiII", 40, nx, -ny if is_down else ny, 1, 8, 0, len(stored), 0, 0, 256, 0)
+        content = b"BM" + struct.pack("<IHHI", 54 + 1024 + len(stored), 0, 0, 54 + 1024) + size + palette + stored
+    else:
+        content = struct.pack("<BBBHHBHHHHBB", 0, 0, 3, 0, 0, 0, 0, 0, nx, ny, 8, 32 if is_down else 0) + stored
+    (tmp_path / name).write_bytes(content)
+    field = HeightField.load(tmp_path / name, pitch_um=1.0, height_range_um=0.255)
+    np.testing.assert_allclose(field.heights_um, 1e-3 * samples)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_images_are_upright_as_pillow_shows_them(tmp_path: Path, orientation: int) -> None:
+    samples = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    output = oiio.ImageOutput.create(str(tmp_path / "a.tif"))
+    spec = oiio.ImageSpec(4, 3, 1, "uint8")
+    spec.attribute("Orientation", orientation)
+    output.open(str(tmp_path / "a.tif"), spec)
+    output.write_image(samples[..., None])
+    output.close()
+    with Image.open(tmp_path / "a.tif") as image:
+        shown = np.asarray(image)
+    field = HeightField.load(tmp_path / "a.tif", pitch_um=1.0, height_range_um=0.255)
+    np.testing.assert_allclose(field.heights_um, 1e-3 * shown)
 
 
 def bad_files(folder: Path) -> None:
@@ -138,7 +191,7 @@ def test_heights_that_are_refused_name_the_file(tmp_path):
 
 
 def test_a_registered_suffix_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readers, "_readers", readers._readers.copy())
+    monkeypatch.setattr(reader_registry, "_readers", reader_registry._readers.copy())
 
     @readers.register_reader(".spm", ".Probe")
     def read_lines(file: Path) -> readers.FileContent:

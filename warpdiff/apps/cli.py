@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 # File errors that count as bad input (exit code 2). Other file errors, such as a full disk, are failures (exit code 1).
 _BAD_PATHS = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 _HEIGHT_FIELD_HELP = (
-    "file of a scan (an image of 8 or 16 bit grey or float, .npy or .npz), or a synthetic height field: one of "
-    f"{', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings, for example fingers:size_um=25.6,seed=3; "
-    "pairs are written as 2.0x1.0"
+    "file of heights (an image of 8 or 16 bit grey or float, .npy, .npz, text, .x3p or a file of an instrument), or a "
+    f"synthetic height field: one of {', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings, for "
+    "example fingers:size_um=25.6,seed=3; pairs are written as 2.0x1.0"
 )
 _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
@@ -62,6 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         near = did_you_mean(unknown[0], options.flags)
         text = f"there is no argument {unknown[0]!r}{near or '.'} See warpdiff {options.command} --help"
         say(f" {options.command}: ", text)
+        raise SystemExit(2)
+    if "scan" in options and (options.scan is None) == (options.heightfield is None):
+        say(
+            f" {options.command}: ",
+            f"one of HEIGHTFIELD and --heightfield is required. See warpdiff {options.command} --help",
+        )
         raise SystemExit(2)
     with warnings.catch_warnings():
         warnings.simplefilter("always", wd.WarpdiffWarning)
@@ -185,7 +191,7 @@ def _add_sequence(flags: Flags) -> None:
 
 
 def _add_brdf(flags: Flags) -> None:
-    _add_height_field(flags)
+    _add_height_field(flags, has_position=True)
     _add_evaluation(flags, EvaluationSettings)
     _add_saving(flags)
     _add_output(flags)
@@ -212,7 +218,7 @@ def _add_export_html(flags: Flags) -> None:
 
 
 def _add_info(flags: Flags) -> None:
-    _add_height_field(flags)
+    _add_height_field(flags, has_position=True)
     flags.add(flags.parser, describe(EvaluationSettings), only=("tolerance",))
 
 
@@ -248,14 +254,21 @@ def _add_picture(flags: Flags, settings: type) -> None:
     _add_saving(flags)
 
 
-def _add_height_field(flags: Flags, *, default: str | None = None, several: bool = False) -> None:
+def _add_height_field(
+    flags: Flags, *, default: str | None = None, several: bool = False, has_position: bool = False
+) -> None:
     group = flags.group("height field")
     how: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []} if several else {"default": default}
+    if has_position:
+        group.add_argument("scan", metavar="HEIGHTFIELD", nargs="?", help="the same as --heightfield")
+    else:
+        how["required"] = default is None and not several
     group.add_argument(
-        "--heightfield", metavar="HEIGHTFIELD", required=default is None and not several,
+        "--heightfield", metavar="HEIGHTFIELD",
         help=_HEIGHT_FIELD_HELP + (f" (default: {default})" if default else ""), **how,
     )  # fmt: skip
-    flags.add(group, describe(wd.HeightField.load), only=("extent_um", "pitch_um", "height_range_um"))
+    loading = ("extent_um", "pitch_um", "height_range_um", "channel", "rows", "unit")
+    flags.add(group, describe(wd.HeightField.load), only=loading)
     group.add_argument(
         "--level", type=integer, metavar="ORDER", help="subtract a polynomial of this order (1: a plane)"
     )
@@ -374,7 +387,8 @@ _COMMANDS = {
     ),
     "info": _Command(
         "print a summary of a height field and the plan of its evaluation",
-        "warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
+        "warpdiff info scan.x3p --level 1\n"
+        "  warpdiff info --heightfield scan.png --extent-um 65 --height-range-um 0.375 --level 2",
         _add_info, cli_commands.info,
     ),
     "view": _Command(

@@ -94,8 +94,9 @@ def _value(text: str) -> Any:
 
 
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
-    """Return the cleaned height field that ``--heightfield`` names: a file or a synthetic grating."""
-    text = options.heightfield
+    """Return the cleaned height field that the command names: a file or a synthetic grating."""
+    # Commands without a mesh accept it as a positional argument.
+    text = options.scan if options.heightfield is None else options.heightfield
     made = _named(text, GRATINGS, wd.gratings, "heightfield")
     if made is None:
         if not validation.path(text, "heightfield").is_file():

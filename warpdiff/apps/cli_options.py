@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -32,8 +33,13 @@ def number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"must be a number, got {text!r}") from None
 
 
+def lengths(text: str) -> list[float]:
+    """Return the numbers of a text such as ``0.3x0.15``, ``0.3,0.15`` or ``0.3``."""
+    return [number(part) for part in re.split(r"[x×,]", text)]
+
+
 _TYPES: dict[str, Callable[[str], Any]] = {
-    "integer": integer, "integers": integer, "number": number, "numbers": number, "pair": number,
+    "integer": integer, "integers": integer, "number": number, "numbers": number, "pair": lengths,
 }  # fmt: skip
 _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "choices": "NAME", "object": "VALUE"}
 
@@ -115,7 +121,8 @@ def _shape(option: Option) -> dict[str, Any]:
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
         return {"type": kind, "metavar": placeholder}
-    placeholder = {2: ("Y", "X"), 3: ("X", "Y", "Z")}.get(option.length, placeholder)
+    length = 2 if option.kind == "pair" else option.length
+    placeholder = {2: ("Y", "X"), 3: ("X", "Y", "Z")}.get(length, placeholder)
     return {"type": kind, "metavar": placeholder, "nargs": option.length or "+"}
 
 
@@ -159,6 +166,7 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
         if key in values and key in options.stored:
             value = values[key]
             if option.kind == "pair":
+                value = list(itertools.chain.from_iterable(value))
                 if len(value) > 2:
                     raise ArgumentValueError(f"{ref(key)} must be one number or two, got {len(value)}")
                 value = value[0] if len(value) == 1 else tuple(value)

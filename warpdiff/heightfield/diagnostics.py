@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,6 +76,7 @@ class HeightFieldSummary:
         scalar_error: Bound of the error of scalar diffraction at 550 nm, relative to the reflected power, see
             `scalar_error_bound`.
         missing: Number of missing samples.
+        orientation: Where row 0 is, in words.
     """
 
     shape: tuple[int, int]
@@ -88,6 +90,7 @@ class HeightFieldSummary:
     max_uv: float
     scalar_error: float
     missing: int
+    orientation: str
 
     def __str__(self) -> str:
         """Return the summary as lines of text."""
@@ -100,7 +103,8 @@ class HeightFieldSummary:
         return "\n".join(
             [
                 f"size              {self.size_um[1]:.4g} × {self.size_um[0]:.4g} µm (x × y), {nx} × {ny} samples",
-                f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)", *gaps,
+                f"pitch             {1e3 * self.pitch_um[1]:.4g} × {1e3 * self.pitch_um[0]:.4g} nm (x × y)",
+                f"orientation       {self.orientation}", *gaps,
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
                 f"periods           {periods}", f"supports          {supported} at {LAMBDA_MIN_NM} nm",
@@ -125,8 +129,18 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
         ),
         max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * pitch) if pitch else math.inf,
         scalar_error=scalar_error_bound(heightfield.rms_um, heightfield.mean_slope),
-        missing=int(np.count_nonzero(heightfield.missing)),
+        missing=int(np.count_nonzero(heightfield.missing)), orientation=_orientation(heightfield),
     )  # fmt: skip
+
+
+def _orientation(heightfield: HeightField) -> str:
+    """Return where row 0 of a file or an array is."""
+    source = heightfield.source
+    if source is None:
+        return "row 0 at y = 0, z towards the viewer"
+    which = repr(Path(source.path).name) if source.path else "the topography"
+    place = "at the top, the largest y" if source.rows == "up" else "at y = 0"
+    return f"row 0 of {which} {place} (rows={source.rows!r})"
 
 
 def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:

@@ -6,14 +6,15 @@ x), lengths in µm. Every transform returns a new `HeightField`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, readers
+from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods
+from warpdiff.heightfield.readers import reader_registry, topography_reader
 
 if TYPE_CHECKING:
     import os
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.heightfield.readers.reader_registry import FileContent, Source
+
 Axis = Literal["y", "x"]
+Rows = reader_registry.Rows
 
 # Memory at the peak, as measured: while a field is made from an array [bytes per sample], and while gaps are filled
 # [bytes per missing sample]. Doubled values refuse fields that fit.
@@ -105,35 +109,44 @@ class HeightField:
         self._missing_count = int(np.count_nonzero(missing))
         self._height_range_um = float(np.nanmax(heights) - np.nanmin(heights))
         self._pitch_um = validation.pair(pitch_um, "pitch_um")
+        self._source: Source | None = None
 
     @classmethod
     def load(
         cls, path: str | os.PathLike[str], *, extent_um: float | tuple[float, float] | None = None,
         pitch_um: float | tuple[float, float] | None = None, height_range_um: float | None = None,
+        channel: str | None = None, rows: Rows | None = None, unit: str | None = None,
     ) -> HeightField:  # fmt: skip
         """Read a height field from a file.
 
-        The suffix selects the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, and a grey image in any format of
-        OpenImageIO for every other suffix. :func:`warpdiff.heightfield.readers.register_reader` adds readers.
+        Suffix and content select the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, text, ``.x3p``, files of
+        instruments (extra ``scans``), and a grey image in any format of OpenImageIO for every other suffix.
+        :func:`warpdiff.heightfield.readers.register_reader` adds readers.
 
-        Rows keep the order of the file. Integer samples have no unit: the largest value of their type (255 or 65535) is
-        the height ``height_range_um``, even if the file does not use it. Floating-point samples are heights in µm; NaN
-        is a missing sample.
+        Size, pitch, unit, missing samples and metadata come from the file if it states them. Integer samples have no
+        unit: the largest value of their type (255 or 65535) is the height ``height_range_um``, even if the file does
+        not use it. Floating-point samples of images and ``.npy`` files are heights in µm; NaN is a missing sample.
 
         Args:
-            path: Path of a grey image, or of a ``.npy`` or ``.npz`` file of heights.
+            path: Path of a grey image, of a ``.npy`` or ``.npz`` file, of a text, or of an instrument's file.
             extent_um: Size of the field [µm]: one number, its width along x, for square samples, or a pair (Ly, Lx).
             pitch_um: Distance of the samples [µm], one number or a pair (dy, dx). Give exactly one of ``extent_um``
-                and ``pitch_um``, and neither for a ``.npz`` file, which states its pitch.
+                and ``pitch_um``, and neither for a file that states its pitch or size.
             height_range_um: Height of the full scale of integer samples [µm]; not for floating-point samples.
+            channel: Name of a channel, one of :meth:`channels`. None, the default, is the first channel of heights.
+            rows: Orientation: ``"down"`` puts row 0 of the file at y = 0, ``"up"`` makes row 0 the top of the picture,
+                so that the surface has the handedness of the specimen. None is ``"up"`` for instruments and for texts
+                that state a unit, and ``"down"`` for images and arrays.
+            unit: Unit of the numbers of a text that does not state it: ``"nm"``, ``"um"``, ``"mm"``, ``"m"``,
+                ``"Å"`` or ``"pm"``. Without a pitch it also is the unit of the positions x and y.
 
         Returns:
             The height field, in float64. The scale of a ``.npz`` file is not checked.
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file cannot be read, is a colour image, is not two-dimensional or contains infinities, or
-                its scale is not given exactly once.
+            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities; its scale is
+                not given exactly once; or it has no such channel.
 
         Examples:
             >>> import pathlib, tempfile
@@ -142,13 +155,86 @@ class HeightField:
             >>> wd.HeightField.load(file, extent_um=10.0).size_um
             (10.0, 10.0)
         """
-        file = readers.existing(path)
-        heights, own_pitch = readers.read(file, height_range_um)
-        pitch = readers.pitch_of(file, own_pitch, heights.shape, extent_um, pitch_um)
+        reader_registry.check_texts(channel, unit)
+        file = reader_registry.existing(path)
+        content, name = reader_registry.read(file, channel)
+        orientation = reader_registry.rows_of(content, rows)
+        heights = reader_registry.heights_of(content, file, height_range_um, unit)
+        pitch = reader_registry.pitch_of(content, file, extent_um, pitch_um, unit)
         try:
-            return cls(heights, pitch) if own_pitch is None else cls.of_known_scale(heights, pitch)
+            return cls._of_content(content, str(file), name, heights, pitch, orientation)
         except (ArgumentValueError, ArgumentTypeError) as error:
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r}: {error}") from None
+
+    @classmethod
+    def _of_content(
+        cls, content: FileContent, path: str, channel: str, heights_um: NDArray[np.float64],
+        pitch_um: float | tuple[float, float], rows: Rows,
+    ) -> HeightField:  # fmt: skip
+        """Return the height field of the content of a file."""
+        make = cls.of_known_scale if content.is_known_scale else cls
+        field = make(heights_um[::-1] if rows == "up" else heights_um, pitch_um)
+        field._source = reader_registry.Source(path, channel, rows, dict(content.metadata))
+        return field
+
+    @classmethod
+    def channels(cls, path: str | os.PathLike[str]) -> tuple[str, ...]:
+        r"""List the channels of heights in a file, the default one first.
+
+        Args:
+            path: Path of a file of heights.
+
+        Returns:
+            Names that :meth:`load` accepts as ``channel``; none for formats of one array without a name.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ValueError: The file cannot be read.
+
+        Examples:
+            >>> import pathlib, tempfile
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "scan.txt"
+            >>> table = "# Channel: {}\n# Width: 3 µm\n# Height: 2 µm\n# Value units: nm\n1 2 3\n4 5 6\n"
+            >>> _ = file.write_text(table.format("Trace") + table.format("Retrace"), encoding="utf-8")
+            >>> wd.HeightField.channels(file)
+            ('Trace', 'Retrace')
+        """
+        return reader_registry.channels_of(reader_registry.existing(path))
+
+    @classmethod
+    def from_topography(cls, topography: Any, *, rows: Rows = "up") -> HeightField:
+        """Make a height field from a topography of the library SurfaceTopography.
+
+        Args:
+            topography: A two-dimensional topography with a size and a unit of length.
+            rows: Orientation: ``"up"``, the default, makes row 0 the top of the picture, as for :meth:`load`.
+
+        Returns:
+            The height field, in float64. Masked samples are missing.
+
+        Raises:
+            TypeError: The object is no topography.
+            ValueError: It is a line scan, or has no size or unit.
+
+        Examples:
+            >>> from types import SimpleNamespace
+            >>> scan = SimpleNamespace(  # as SurfaceTopography.Topography(heights, (2.0, 4.0), unit="nm")
+            ...     heights=lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), physical_sizes=(2.0, 4.0), unit="nm", dim=2
+            ... )
+            >>> wd.HeightField.from_topography(scan).pitch_um
+            (0.002, 0.001)
+        """
+        content = topography_reader.content_of(topography)
+        if content.pitch_um is None or not content.has_unit:
+            raise ArgumentValueError(
+                f"{ref('topography')} must have a size and a unit, got size {topography.physical_sizes} and unit "
+                f"{topography.unit!r}; pass its heights to HeightField"
+            )
+        orientation = reader_registry.rows_of(content, rows)
+        try:
+            return cls._of_content(content, "", "", content.samples, content.pitch_um, orientation)
+        except (ArgumentValueError, ArgumentTypeError) as error:
+            raise ArgumentValueError(f"{ref('topography')}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the height field to a NumPy ``.npz`` file, which :meth:`load` restores exactly.
@@ -178,6 +264,14 @@ class HeightField:
     def heights_um(self) -> NDArray[np.float64]:
         """Heights [µm], shape (ny, nx), read-only; NaN where a sample is missing."""
         return self._heights_um
+
+    @property
+    def source(self) -> Source | None:
+        """File, channel, orientation of rows, and metadata of the instrument; None for heights from an array.
+
+        Methods that keep the orientation keep it; `flipped` and `rotated` do not.
+        """
+        return self._source
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -348,9 +442,8 @@ class HeightField:
             >>> wd.HeightField([[0.0, 0.1, 0.2]], pitch_um=1.0).flipped("x").heights_um
             array([[0.2, 0.1, 0. ]])
         """
-        return self._with_heights(
-            np.flip(self._heights_um, "yx".index(validation.choice(axis, "axis", get_args(Axis))))
-        )
+        axis = validation.choice(axis, "axis", get_args(Axis))
+        return HeightField.of_known_scale(np.flip(self._heights_um, "yx".index(axis)), self.pitch_um)
 
     def rotated(self, quarter_turns: int = 1) -> HeightField:
         """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
@@ -391,7 +484,9 @@ class HeightField:
         """
         pitch = validation.pair(pitch_um, "pitch_um")
         check_whole(self)
-        return HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
+        field = HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
+        field._source = self._source
+        return field
 
     def periodic(self) -> HeightField:
         """Make opposite edges match, which removes the bright cross along the axes of the spectrum.
@@ -486,7 +581,9 @@ class HeightField:
 
     def _with_heights(self, heights: NDArray[np.float64]) -> HeightField:
         """Return a field of other heights at the same pitch."""
-        return HeightField.of_known_scale(heights, self.pitch_um)
+        field = HeightField.of_known_scale(heights, self.pitch_um)
+        field._source = self._source
+        return field
 
 
 def check_whole(heightfield: HeightField) -> None:

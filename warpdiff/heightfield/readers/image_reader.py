@@ -1,0 +1,86 @@
+"""Reader of grey images, by OpenImageIO."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import openimageio
+from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Memory at the peak while an image is read [bytes per sample], as measured. A doubled value refuses images that fit.
+_BYTES_PER_SAMPLE = 28.0
+
+
+_SUFFIXES = (
+    ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
+    ".dpx", ".fits", ".gif", ".psd",
+)  # fmt: skip
+_OTHER_FORMAT = (
+    "has a format that is not read; export it as .x3p, as text, or as a grey image of 16 bit or of floats, or see the "
+    "table of formats in the documentation"
+)
+
+
+@register_reader(
+    *_SUFFIXES, title="grey image of 8 or 16 bit, or of floats",
+    states="integers: you state the height of the full scale and the pitch; floats: µm, you state the pitch",
+)  # fmt: skip
+def read_image(file: Path) -> FileContent:
+    """Read a grey image without a conversion of its samples."""
+    with openimageio.in_use() as oiio:
+        # PFM stores the bottom row first. Other formats ignore the attribute.
+        configuration = oiio.ImageSpec()
+        configuration.attribute("pnm:pfmflip", 1)
+        image = oiio.ImageInput.open(str(file), configuration)
+        if image is None:
+            # OpenImageIO prints errors that were not read when the process ends.
+            reason = _unknown(_reason(oiio))
+            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
+        try:
+            return FileContent(_samples_of(image, file))
+        finally:
+            image.close()
+
+
+def _unknown(reason: str) -> str:
+    """Return the reason why a file is refused that OpenImageIO does not open."""
+    return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
+
+
+def _samples_of(image: Any, file: Path) -> np.ndarray:
+    """Return the samples of an open file, which must contain one grey image."""
+    spec = image.spec()
+    channels = spec.nchannels
+    if channels != 1:
+        kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
+        raise refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
+    require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
+    # "unknown" selects the type of the file, which avoids a conversion.
+    samples = image.read_image("unknown")
+    if samples is None or image.has_error:
+        raise refusal(file, f"is damaged ({_reason(image)}); export the image again")
+    if image.seek_subimage(1, 0):
+        raise refusal(file, "contains several images; save the one with the heights alone")
+    return _upright(np.asarray(samples)[..., 0], spec.getattribute("Orientation"))
+
+
+def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
+    """Return samples in the order of the displayed picture, by the tag of TIFF and EXIF from 1 to 8."""
+    if orientation not in range(2, 9):
+        return samples
+    turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}
+    flipped = {2: samples[:, ::-1], 3: samples[::-1, ::-1], 4: samples[::-1]}
+    return np.ascontiguousarray((flipped | turned)[orientation])  # type: ignore[index]
+
+
+def _reason(source: Any) -> str:
+    """Return the last message of OpenImageIO as one line; it may contain bytes of the file that are not text."""
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"

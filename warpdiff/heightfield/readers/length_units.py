@@ -1,0 +1,40 @@
+"""Units of length: symbols and words that files use, in µm."""
+
+from __future__ import annotations
+
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
+
+# Symbols that the argument ``unit`` accepts, in µm.
+SYMBOLS = {"m": 1e6, "cm": 1e4, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3, "Å": 1e-4, "pm": 1e-6}
+_WORDS = {
+    "micron": 1.0, "microns": 1.0, "micrometer": 1.0, "micrometre": 1.0, "mikrometer": 1.0, "micromètre": 1.0,
+    "nanometer": 1e-3, "nanometre": 1e-3, "nanomètre": 1e-3, "millimeter": 1e3, "millimetre": 1e3, "millimètre": 1e3,
+    "centimeter": 1e4, "centimetre": 1e4, "meter": 1e6, "metre": 1e6, "mètre": 1e6, "picometer": 1e-6,
+    "picometre": 1e-6, "angstrom": 1e-4, "ångstrom": 1e-4, "ångström": 1e-4, "angström": 1e-4,
+}  # fmt: skip
+
+
+def factor_of(text: str) -> float | None:
+    """Return the size [µm] of a unit that a file names; None for anything but a length."""
+    # The micro sign and the Greek letter look the same. The first letter of "Âµ" comes from UTF-8 read as Latin-1.
+    name = text.strip().strip("[](){}").strip().replace("μ", "µ").replace("Âµ", "µ").replace("\u212b", "Å")
+    if name in SYMBOLS:
+        return SYMBOLS[name]
+    lower = name.lower()
+    if lower in SYMBOLS and lower != "m" and len(name) > 1:
+        return SYMBOLS[lower]
+    if lower == "å":
+        return SYMBOLS["Å"]
+    return _WORDS.get(lower) or _WORDS.get(lower.removesuffix("s"))
+
+
+def factor_um(unit: object, name: str) -> float:
+    """Return the size [µm] of the unit that an argument names."""
+    if not isinstance(unit, str):
+        raise ArgumentTypeError(f"{ref(name)} must be a string, got {type(unit).__name__}")
+    factor = factor_of(unit)
+    if factor is None:
+        raise ArgumentValueError(
+            f"{ref(name)} must be one of {', '.join(SYMBOLS)}, got {unit!r}{did_you_mean(unit, SYMBOLS)}"
+        )
+    return factor

@@ -1,0 +1,80 @@
+"""Readers of arrays: ``.npy``, and the ``.npz`` files of ``HeightField.save``."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import os
+import zipfile
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from warpdiff.core.wording import ArgumentValueError
+
+# Memory at the peak while a file is read [bytes per sample], as measured. A doubled value refuses files that fit.
+_BYTES_PER_SAMPLE = 28.0
+
+
+@register_reader(
+    ".npy", title="NumPy array", states="floats: µm, you state the pitch; integers: also the height of the full scale"
+)
+def read_npy(file: Path) -> FileContent:
+    """Read a NumPy array of heights."""
+    return FileContent(_read_array(file, lambda: file.open("rb"), "numpy.save, as plain numbers"))
+
+
+@register_reader(".npz", title="file of `HeightField.save`", states="everything in the file")
+def read_npz(file: Path) -> FileContent:
+    """Read heights and pitch, as `HeightField.save` writes them."""
+    heights, pitch = (
+        _read_array(file, functools.partial(_member, file, name), "HeightField.save")
+        for name in ("heights_um", "pitch_um")
+    )
+    return FileContent(heights, pitch.tolist(), is_known_scale=True)
+
+
+@contextlib.contextmanager
+def _member(file: Path, name: str) -> Iterator[IO[bytes]]:
+    """Open an array of a ``.npz`` file."""
+    with zipfile.ZipFile(file) as archive, archive.open(f"{name}.npy") as stream:
+        yield stream
+
+
+def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
+    """Read an array from a stream, which is opened once for the shape and once for the numbers."""
+    try:
+        with opened() as stream:
+            shape = _shape_of_array(stream)
+    except Exception as error:
+        raise _unreadable(file, error, writer) from None
+    require_memory(file, shape, _BYTES_PER_SAMPLE)
+    try:
+        with opened() as stream:
+            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+    except Exception as error:
+        raise _unreadable(file, error, writer) from None
+
+
+def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
+    """Return the error for a file that NumPy cannot read; parsers of damaged files raise errors of many types."""
+    return refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
+
+
+def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
+    """Return the shape from the header of a ``.npy`` stream; () if it is truncated or of an unknown version."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    version = np.lib.format.read_magic(stream)
+    if version not in headers:
+        return ()
+    shape, _, dtype = headers[version](stream)
+    begin = stream.tell()
+    return shape if math.prod(shape) * dtype.itemsize <= stream.seek(0, os.SEEK_END) - begin else ()

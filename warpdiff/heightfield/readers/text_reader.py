@@ -1,0 +1,355 @@
+"""Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
+
+One rule reads all exports: separator and decimal sign by counting, units from the header. Units are never guessed.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import memory
+from warpdiff.heightfield.readers import text_header, text_table
+from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
+from warpdiff.heightfield.readers.text_table import Form
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from warpdiff.heightfield.readers.reader_registry import Channels
+    from warpdiff.heightfield.readers.text_header import Columns, Facts
+    from warpdiff.heightfield.readers.text_table import Block
+
+# Memory at the peak while a text is read, per byte of the text, as measured for numbers of one digit. A doubled
+# value refuses texts that fit.
+_BYTES_PER_LETTER = 18.0
+# Number of rows above which three columns without a header are no scan: its width would be three samples.
+_MOST_NARROW_ROWS = 9
+# Ratio of the pitches along x and y above which a header is not believed. If doubled, some ranges of heights are
+# believed to be sizes.
+_MOST_ASPECT = 50.0
+# Relative difference of a size and of as many pitches, up to which they agree. If doubled, more contradictions pass.
+_MOST_DIFFERENCE = 0.01
+# Number of the line of a Zygo XYZ file with the size of a pixel.
+_ZYGO_LINES = 8
+# Smallest share of the points of a grid that a file of points must have.
+_LEAST_FILLED = 0.5
+# Number of even steps from which a first row or column is no chance; without a heading, twice as many. If halved,
+# more small matrices are refused.
+_LEAST_NUMBERED = 4
+
+
+@register_reader(
+    ".txt", ".csv", ".tsv", ".asc", ".xyz", ".dat", ".gz", title="text: matrix, or points x, y, z",
+    states="sizes and units if its header has them; you state the others", recognises=text_table.is_text,
+)  # fmt: skip
+def read_text(file: Path) -> FileContent | Channels:
+    """Read a matrix of heights, several ones, or points on a grid."""
+    most = int(min(text_table.MOST_BYTES, memory.available() / _BYTES_PER_LETTER))
+    data = text_table.unpacked(file, most)
+    if len(data) > most:
+        raise refusal(file, f"has more than {most} bytes of text; save it as .npy")
+    lines = text_table.lines_of(text_table.decode(data))
+    form = text_table.form_of(lines)
+    if form is None:
+        raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")
+    blocks = text_table.blocks_of(lines, form)
+    same = _equal_blocks(file, blocks)
+    facts = [_facts_of(block, form, blocks[0].header) for block in same]
+    # Channels of heights come first.
+    order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
+    channels: dict[str, Callable[[], FileContent]] = {}
+    for k in order:
+        read = functools.partial(_content, file, same[k], form, facts[k], _zygo_pitch(lines[:_ZYGO_LINES]))
+        name = facts[k].channel or (_title(same[k].header) if len(same) > 1 else "")
+        if not name and len(same) == 1:
+            return read()
+        if not name:
+            raise refusal(file, f"has {len(same)} matrices without names; keep one of them")
+        channels[name if name not in channels else f"{name} ({k + 1})"] = read
+    return channels
+
+
+def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
+    """Return the largest block, and others of its shape; refuse other parts of as many columns."""
+    largest = max(blocks, key=lambda block: block.values.size)
+    shape = largest.values.shape
+    if min(shape) < 2:
+        return [largest]
+    same = [block for block in blocks if block.values.shape[1] == shape[1]]
+    # Single rows before the first matrix belong to a header.
+    while len(same[0].values) == 1:
+        del same[0]
+    if any(block.values.shape != shape for block in same):
+        raise refusal(file, f"has text between its rows of numbers, before line {same[1].line}; remove it")
+    return same
+
+
+def _facts_of(block: Block, form: Form, first_header: list[str]) -> Facts:
+    """Return the facts of the header of a block; sizes and units may be in the first header of the file alone."""
+    facts = text_header.facts_of(block.header, form)
+    if not facts.has_scale and first_header is not block.header:
+        first = text_header.facts_of(first_header, form)
+        for name in ("size_x", "size_y", "size_of_both", "pitch_x", "pitch_y"):
+            setattr(facts, name, getattr(first, name))
+        if not facts.units and not facts.not_length:
+            facts.units |= first.units
+    return facts
+
+
+def _title(header: list[str]) -> str:
+    """Return the last line before a matrix if it is a title: at most four words."""
+    text = header[-1].strip().strip('#%"[]:;, \t') if header else ""
+    return text if re.fullmatch(r"[^\W\d_]+(?: [^\W\d_]+){0,3}", text) else ""
+
+
+def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | None) -> FileContent:
+    """Return the heights of a block of numbers."""
+    _check_block(file, block, form)
+    values = block.values
+    columns = text_header.columns_of(block.header, form, values.shape[1])
+    if columns is None and values.shape[1] in (3, 4) and not facts.has_scale:
+        columns = text_header.Columns((0, 1, 2), (None, None, None))
+        is_named = zygo is not None
+    else:
+        is_named = columns is not None
+    if columns is not None and (points := _of_points(file, values, columns, facts, zygo, is_named=is_named)):
+        return points
+    if len(block.parts) > 1 and max(block.parts) > 1:
+        raise refusal(
+            file, f"has {len(block.parts)} blocks of numbers with blank lines between; keep one, or remove the lines"
+        )
+    return _of_matrix(file, block, form, facts)
+
+
+def _check_block(file: Path, block: Block, form: Form) -> None:
+    """Refuse rows that contradict each other."""
+    width = block.values.shape[1]
+    if block.odd_cell:
+        cell, line = block.odd_cell
+        raise refusal(file, f"has {cell[:20]!r} among the numbers of line {line}; write NaN for a missing sample")
+    if block.is_cut and len(block.values) > 1:
+        raise refusal(
+            file, f"has rows of unequal lengths: line {block.line + len(block.values)} does not have {width} numbers"
+        )
+    if block.header and width > 2:
+        cells = form.cells(block.header[-1])
+        odd = [cell for cell in cells if form.number(cell) is None]
+        if len(cells) == width and odd and odd != cells[:1] and 2 * len(odd) <= width:
+            raise refusal(
+                file, f"has {odd[0][:20]!r} among the numbers of its first row; write NaN for a missing sample"
+            )
+
+
+def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileContent:
+    """Return the heights of a matrix."""
+    rows, width = block.values.shape
+    measured = int(np.count_nonzero(np.isfinite(block.values).any(axis=0)))
+    if rows < 2 or measured < 3:
+        raise refusal(
+            file, f"is a profile or a list, with numbers of shape {rows, width}; a matrix or points x, y, z are read"
+        )
+    if not facts.has_scale and (width == 3 < _MOST_NARROW_ROWS < rows or (width <= 4 and _has_headings(block, form))):
+        raise refusal(file, f"has {width} columns, which are neither a matrix nor points x, y, z on an even grid")
+    values, label_pitch = _without_labels(file, block, form)
+    values = _with_outer_columns(file, values, block.outer, facts.count_x)
+    ny, nx = values.shape
+    for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
+        if count is not None and count != actual:
+            raise refusal(file, f"has {actual} {name}, and its header states {count}; export it again")
+    if facts.not_length and facts.unit is None:
+        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+    if facts.factor_key:
+        raise refusal(
+            file, f"states a factor of its heights, {facts.factor_key[:20]!r}, which is not applied; export the heights"
+        )
+    is_wsxm = any("WSxM" in line for line in block.header)
+    # The matrix of WSxM has x from right to left, and y from the bottom to the top.
+    samples = values[::-1, ::-1] if is_wsxm else values
+    pitch = _pitch_of(facts, nx, ny)
+    unit = facts.unit
+    return FileContent(
+        np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
+        rows="down" if (pitch, label_pitch, unit) == (None, None, None) else "up", has_unit=unit is not None,
+        pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata,
+    )  # fmt: skip
+
+
+def _with_outer_columns(file: Path, values: np.ndarray, outer: tuple[int, int], count: int | None) -> np.ndarray:
+    """Return values with the empty columns around them, if the header counts these; refuse them if it has no count."""
+    if not any(outer) or count == values.shape[1]:
+        return values
+    if count == values.shape[1] + sum(outer):
+        return np.pad(values, ((0, 0), outer), constant_values=np.nan)
+    raise refusal(
+        file, "has an empty first or last column, of separators or of missing samples; write NaN for missing samples"
+    )
+
+
+def _has_headings(block: Block, form: Form) -> bool:
+    """Whether the line above the numbers has a word for each column, or for each but the first."""
+    words = [cell for cell in (form.cells(block.header[-1]) if block.header else []) if cell]
+    is_key = not block.header or text_header.is_statement(block.header[-1])
+    width = block.values.shape[1]
+    return not is_key and len(words) in (width, width - 1) and all(form.number(word) is None for word in words)
+
+
+def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
+    """Return the pitch (dy, dx) [µm] that a header states."""
+    if _contradict(facts.size_x, facts.pitch_x, nx) or _contradict(facts.size_y, facts.pitch_y, ny):
+        return None
+    dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
+    dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
+    # One size for both axes is clear only if they have equally many samples.
+    if facts.size_of_both is not None and nx == ny:
+        dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
+    # A height of the field that is 50 times its width is rather the range of the heights.
+    is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
+    return (dy, dx) if is_likely else None  # type: ignore[return-value]
+
+
+def _contradict(size: float | None, pitch: float | None, count: int) -> bool:
+    """Whether a size is another one than that of so many samples, or of the distance of the first and the last."""
+    if size is None or pitch is None:
+        return False
+    return not (1.0 - _MOST_DIFFERENCE) * (count - 1) <= size / pitch <= (1.0 + _MOST_DIFFERENCE) * count
+
+
+def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Return the values of a matrix without numbers or positions of rows and columns, and the pitch of positions."""
+    values = block.values
+    labels = _labels_around(block, form)
+    if labels is not None:
+        inner, x, y = labels
+        if not text_table.is_even(x) or not text_table.is_even(y):
+            raise refusal(file, "has a first row or a first column of words or uneven positions; remove them")
+        return _at_positions(inner, x, y)
+    first, has_headings = values[:, 0], _has_headings(block, form)
+    if has_headings and not _is_counted(first) and len(values) > 2 and text_table.is_even(first):
+        raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
+    # Whole numbers from 0 or 1 on, next to fractions, are no heights.
+    inner = values[1:, 1:]
+    has_fractions = bool(np.any(np.mod(inner[np.isfinite(inner)], 1.0)))
+    if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):
+        return values[:, 1:], None
+    if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
+        return values[1:], None
+    # Rows of a plane have even steps too, and all of them.
+    if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
+        raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
+    return values, None
+
+
+def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return inner values, and numbers or positions of columns and rows around a corner without a number."""
+    values, width = block.values, block.values.shape[1]
+    cells = form.cells(block.header[-1]) if block.header else []
+    numbers = [form.number(cell) for cell in cells]
+    if len(numbers) == width and numbers[0] is None and None not in numbers[1:]:
+        return values[:, 1:], np.array(numbers[1:], dtype=np.float64), values[:, 0]
+    if block.above is not None and len(block.above) == width - 1 > 2 and text_table.is_even(block.above):
+        return values[:, 1:], block.above, values[:, 0]
+    if not math.isnan(values[0, 0]) or min(values.shape) < 3:
+        return None
+    is_long = min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values)
+    if is_long or (_is_counted(values[0, 1:]) and _is_counted(values[1:, 0])):
+        return values[1:, 1:], values[0, 1:], values[1:, 0]
+    return None
+
+
+def _is_counted(values: np.ndarray) -> bool:
+    """Whether numbers count from 0 or 1."""
+    return values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values)))
+
+
+def _has_even_edges(values: np.ndarray) -> bool:
+    """Whether the first row and the first column without the corner have even steps."""
+    return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
+
+
+def _at_positions(inner: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Return values in the order of the picture, and their pitch; numbers of rows and columns are no positions."""
+    if _is_counted(x) and _is_counted(y):
+        return inner, None
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    # Positions grow to the right and upwards.
+    return inner[:: -1 if dy > 0.0 else 1, :: 1 if dx > 0.0 else -1], (abs(dy), abs(dx))
+
+
+def _zygo_pitch(top: list[str]) -> float | None:
+    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if it has none; None for other files.
+
+    The seventh number of its eighth line is the size in m. The unit of its heights is a setting of the program.
+    """
+    if not top[0].strip().startswith("Zygo XYZ Data File"):
+        return None
+    cells = top[-1].split()
+    size_m = Form(None, ".").number(cells[6]) if len(top) == _ZYGO_LINES and len(cells) > 6 else None
+    return 1e6 * size_m if size_m is not None and 0.0 < size_m < math.inf else 0.0
+
+
+def _of_points(
+    file: Path, values: np.ndarray, columns: Columns, facts: Facts, zygo: float | None, *, is_named: bool
+) -> FileContent | None:
+    """Return the heights of points on an even grid; None if the columns are no points and are not named so."""
+    x, y, z = (values[:, position] for position in columns.positions)
+    positions = _grid(file, x, y, is_named=is_named)
+    if positions is None:
+        return None
+    (at_x, dx), (at_y, dy) = positions
+    column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
+    heights = np.full((len(at_y), len(at_x)), np.nan)
+    heights[row, column] = z
+    # The rows of a picture go from the largest y to the smallest; a camera numbers its rows from the top.
+    heights = heights if zygo is not None else heights[::-1]
+    unit_x, unit_y, unit_z = columns.units
+    if unit_x is None and unit_y is None:
+        unit_x = unit_y = facts.lateral or facts.global_unit
+    unit_z = unit_z or facts.unit
+    if facts.not_length and unit_z is None:
+        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+    pitch, own = None, None
+    if zygo is not None:
+        pitch = (zygo * dy, zygo * dx) if zygo else None
+    elif unit_x is not None and unit_y is not None:
+        pitch = unit_y * dy, unit_x * dx
+    elif facts.has_scale and dx == dy == 1.0:
+        # The positions number the samples.
+        pitch = _pitch_of(facts, *heights.shape[::-1])
+    else:
+        own = dy, dx
+    return FileContent(
+        heights if unit_z is None else unit_z * heights, pitch, rows="up", has_unit=unit_z is not None,
+        pitch_in_unit=own, metadata=facts.metadata,
+    )  # fmt: skip
+
+
+def _grid(
+    file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
+) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
+    """Return positions and steps of an even grid of points along x and y; None, or an error, if there is none."""
+    reason = _why_no_grid(x, y)
+    if reason and is_named:
+        raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
+    along_x, along_y = (None, None) if reason else (text_table.even_steps(x), text_table.even_steps(y))
+    return None if along_x is None or along_y is None else (along_x, along_y)
+
+
+def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
+    """Return why points are on no even grid; an empty string if they are on one."""
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        return "without a position"
+    along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
+    if along_x is None or along_y is None:
+        return "on no even grid"
+    nx, ny = len(along_x[0]), len(along_y[0])
+    # Two or three rows of a matrix are as many points on a diagonal.
+    if len(x) < 4 or len(x) <= max(nx, ny) or len(x) < _LEAST_FILLED * nx * ny:
+        return f"at {len(x)} of the {nx} × {ny} positions of a grid"
+    nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
+    return "at equal positions" if len(np.unique(nodes)) < len(nodes) else ""
