@@ -152,7 +152,7 @@ def order_efficiencies(
         powers = np.abs(_coefficients(heightfield, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
         mirrors = powers * reflectance_factors.gain(lights, views, normal=1.0, masking=False, per_light_cosine=True)
         if energy == "normalised":
-            mirrors *= _balance(heightfield, light[0], orders[live], views, mirrors, wavelength)
+            mirrors = _normalised(heightfield, light[0], orders[live], views, mirrors, wavelength)
         if material is not None:
             reflected = reflectances(material, -lights - views, 1e3 * wavelength * np.ones(1))[:, 0]
         else:
@@ -162,14 +162,15 @@ def order_efficiencies(
     return OrderEfficiencies(wavelengths, orders, to_view, efficiencies)
 
 
-def _balance(
+def _normalised(
     heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
     mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the ratio of normalised efficiencies to those of Stam, for the propagating orders of one light, (n,)."""
+    """Return the normalised efficiencies of the propagating orders of one light by those of Stam, (n,), mirrors both."""
     if len(orders) > energy_normalisation.MOST_EXACT:
-        factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
-        return np.asarray(factors / (mirrors @ factors))
+        wavelength_nm = 1e3 * wavelength_um
+        factors = energy_normalisation.factors_around(heightfield, wavelength_nm).risen(views, wavelength_nm)
+        return np.asarray(mirrors * factors / (mirrors @ factors))
     # Orders lead from lights of one family, which differ by whole orders, to views of another, and from these back.
     steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
     shift_ranges = [
@@ -185,8 +186,13 @@ def _balance(
     w = cosines[:, None] + views[:, 2]
     powers = np.abs(_coefficients(heightfield, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
     matrix = powers * energy_normalisation.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
-    first, second = energy_normalisation.balanced(matrix)
-    return np.asarray(first[np.flatnonzero(~shifts.any(axis=1))] * second)
+    rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
+    first, second = energy_normalisation.balanced(matrix, rows, columns)
+    own = np.flatnonzero(~shifts.any(axis=1))[0]
+    result = first[own] * second * matrix[own]
+    # The share that a light near the horizon does not send into its orders stays with its mirror order.
+    result[~orders.any(axis=1)] += 1.0 - rows[own]
+    return np.asarray(result)
 
 
 @single_threaded_blas()
