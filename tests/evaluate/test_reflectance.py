@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import special
 from conftest import at_angle, hemisphere, relative_errors
 
 import warpdiff as wd
@@ -109,3 +110,20 @@ def test_a_normalised_brdf_does_not_depend_on_directions_beside_it():
     assert not math.isclose(
         one[0], wd.brdf(grating, lights[0], view, 500.0, **options | {"energy": "stam"})[0], rel_tol=1e-3
     )
+
+
+@pytest.mark.parametrize("kind", ["averaged", "source"])
+def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
+    """A sine's mirror order is J₀²(2πd/λ) at normal incidence and view; a metal multiplies it by its reflectance."""
+    depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
+    grating, aluminium = wd.gratings.sinusoidal(50.0, depth, samples=2048), wd.Material.metal("Al")
+    options = {"coherence": wd.Coherence(kind), "tolerance": 1e-3}
+    expected = special.j0(2e3 * math.pi * depth / wavelengths) ** 2
+    spectrum = wd.spectral_reflectance(grating, UP, UP, wavelengths, **options)
+    np.testing.assert_allclose(spectrum, expected, rtol=2e-3, atol=1e-5)
+    metal = wd.spectral_reflectance(grating, UP, UP, wavelengths, material=aluminium, **options)
+    np.testing.assert_allclose(metal, expected * aluminium.reflectance(wavelengths, 0.0), rtol=2e-3, atol=1e-5)
+    orders = wd.order_efficiencies(grating, UP, wavelengths, material=aluminium, energy="stam")
+    np.testing.assert_allclose(orders[0, 0], expected * aluminium.reflectance(wavelengths, 0.0), rtol=1e-9)
+    with pytest.raises(ValueError, match="material must cover 190 to 300 nm, but 'aluminium' is tabulated from 200 to"):
+        wd.spectral_reflectance(grating, UP, UP, [190.0, 300.0], material=aluminium, **options)
