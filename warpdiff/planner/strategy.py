@@ -91,7 +91,6 @@ def plan(
     with memory.as_memory_error("plan()", f"use a larger {ref('tolerance')}, or a smaller {ref('heightfield')}"):
         direction_range, sample, count = directions_of(request, to_light, to_view)
         result = plan_for(request, direction_range, sample, count)
-    refusals.warn_of_scalar_error(heightfield, result)
     return result
 
 
@@ -161,6 +160,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     upper = bounds.upper_bound_plan(request, direction_range, method=method, tolerance=tolerance)
     refusals.check_size(heightfield, upper)
     refusals.warn_of_aliasing(heightfield, upper, direction_range)
+    refusals.warn_of_theory(upper)
     if method == "direct":
         return upper
     if request.footprint and not _has_footprint_table(request):
