@@ -75,8 +75,8 @@ class Shares(NamedTuple):
         """Return the shares of gratings with some errors and verdicts."""
         wrong, reliable, invalid = errors > WRONG, verdicts < QUALITATIVE, verdicts >= INVALID
         return cls(
-            len(errors), int(reliable.sum()), float(np.mean(wrong[reliable])), float(np.mean(reliable[~wrong])),
-            float(np.mean(~reliable & ~invalid)), float(np.mean(wrong[invalid])),
+            len(errors), int(reliable.sum()), _share(wrong[reliable]), _share(reliable[~wrong]),
+            _share(~reliable & ~invalid), _share(wrong[invalid]),
         )  # fmt: skip
 
     @property
@@ -87,6 +87,11 @@ class Shares(NamedTuple):
             and self.reliable_of_right >= LEAST_RELIABLE
             and self.qualitative <= MOST_QUALITATIVE
         )
+
+
+def _share(values: np.ndarray) -> float:
+    """Share of the true values; 0 of none."""
+    return float(np.mean(values)) if len(values) else 0.0
 
 
 def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:

@@ -76,7 +76,8 @@ def test_the_brdf_of_a_mirror_under_a_window_is_four_pi_sigma_squared_over_the_s
         np.testing.assert_allclose(result, expected, rtol=1e-4)
     both = np.array([at_angle(40.0), at_angle(100.0)])
     np.testing.assert_array_equal(wd.brdf(mirror, both, both, wavelengths, **options)[1], 0.0)
-    np.testing.assert_array_equal(wd.brdf(mirror, both[1], UP, wavelengths, **options), 0.0)
+    with pytest.warns(wd.WarpdiffWarning, match="no pair of to_light and to_view is above the horizon"):
+        np.testing.assert_array_equal(wd.brdf(mirror, both[1], UP, wavelengths, **options), 0.0)
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
@@ -116,7 +117,7 @@ def test_a_normalised_brdf_does_not_depend_on_directions_beside_it():
 def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
     """A sine's mirror order is J₀²(2πd/λ) at normal incidence and view; a metal multiplies it by its reflectance."""
     depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
-    grating, aluminium = wd.gratings.sinusoidal(50.0, depth, samples=2048), wd.Material.metal("Al")
+    grating, aluminium = wd.gratings.sinusoidal(5.0, depth, samples=512), wd.Material.metal("Al")
     options = {"coherence": wd.Coherence(kind), "tolerance": 1e-3}
     expected = special.j0(2e3 * math.pi * depth / wavelengths) ** 2
     spectrum = wd.spectral_reflectance(grating, UP, UP, wavelengths, **options)

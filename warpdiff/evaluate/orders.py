@@ -125,7 +125,7 @@ def order_efficiencies(
         array([0.0119, 0.0095])
     """
     check_whole(heightfield)
-    light = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0]
+    light = validation.unit_directions(validation.vector(to_light, "to_light"), "to_light")[0]
     if light[0, 2] <= HORIZON:
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)

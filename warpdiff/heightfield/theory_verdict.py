@@ -37,8 +37,9 @@ WAVELENGTH_NM = 550.0
 # Error from which a verdict is qualitative. Limit: a tenth of the reflected power. If doubled, more gratings are graded
 # reliable than are.
 QUALITATIVE = 0.1
-# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order whose error exceeds a tenth.
-INVALID = 0.8
+# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order that is wrong by more than a tenth of
+# the reflected power. If halved, shallow patterns of two wavelengths are invalid.
+INVALID = 0.9
 # Errors per unit of each reason. Fitted: bench/reproduce/theory_verdict.py, on two thirds of the periods and depths.
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
 # Error per share of the relief that is undersampled. Limit: half of a relief makes results meaningless.
@@ -153,6 +154,9 @@ def verdict_on(
         deviation = estimates.of_mirror if conserves else max(estimates.of_mirror, estimates.of_glass)
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
+    if reason == "deep" and errors["steep"] >= QUALITATIVE:
+        # The estimate of deep relief is proportional to the slope as well.
+        reason = "steep"
     if errors["undersampled"] >= INVALID:
         # The other estimates are computed from the same samples.
         reason = "undersampled"

@@ -143,6 +143,14 @@ def warn_of_theory(plan: Plan) -> None:
         warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
 
 
+def warn_of_darkness() -> None:
+    """Warn of a call whose results are all 0."""
+    warn(
+        f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
+        "directions are vectors away from the surface, in its frame with z along the normal"
+    )
+
+
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
     """Warn where the directions require frequencies beyond the Nyquist limit of the pitch.
 

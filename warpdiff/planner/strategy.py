@@ -110,6 +110,8 @@ def directions_of(
         views = hemisphere_views if to_view is None else _repeated(to_view, "to_view")
     count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
     scattering_vectors, illuminated = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
+    if len(lights) and not illuminated.any():
+        refusals.warn_of_darkness()
     direction_range = DirectionRange.of(heightfield, coherence, scattering_vectors, lights, illuminated)
     if to_light is None or to_view is None:
         known = views if to_light is None else lights
@@ -125,7 +127,7 @@ def directions_of(
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
     """As many of some directions as represent the hemisphere, repeated where they are fewer."""
-    checked, _ = validation.directions(directions, name)
+    checked, _ = validation.unit_directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
     some = checked[stratified(len(checked), MOST_SAMPLED)]

@@ -106,6 +106,11 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     count: float
     if all(part.has_lobes for part in inputs.parts):
         direction_range, sample, count = picture.measure_directions(evaluation.heightfield)
+        if not count:
+            warn(
+                f"none of the {ref('lights')} illuminates a visible point of the mesh, so that all pixels are black: "
+                f"check {ref('to_light')}, which points from the surface towards the light, and {ref('view')}"
+            )
     else:
         # A sky illuminates from the whole hemisphere.
         direction_range, sample, count = directions_of(evaluation)
