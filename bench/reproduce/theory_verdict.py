@@ -31,8 +31,8 @@ from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
 # Error of an order from which a grating counts as wrong, a share of the reflected power.
 WRONG = 0.1
-# Targets: largest share of wrong gratings among the reliable ones, least share of reliable gratings among those that are
-# not wrong, and largest share of qualitative gratings.
+# Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
+# gratings, and largest share of qualitative gratings.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Periods and depths with this remainder of their index by three are held out.
 HELD_OUT = 2
@@ -168,8 +168,8 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"full weight from a cosine of {cosine:g}: mean error {mean_error_by_rise(cosine):.4f}", flush=True)
         return 0
     missed = 0
-    print("| energy | verdict of | gratings | reliable | of them wrong | of right ones reliable | qualitative | invalid "
-          "ones wrong |\n" + 8 * "| --- " + "|")  # fmt: skip
+    print("| energy | verdict of | gratings | reliable | of them wrong | of right ones reliable | qualitative | "
+          "invalid ones wrong |\n" + 8 * "| --- " + "|")  # fmt: skip
     for energy in (None, "stam"):
         for name, shares in judged(energy).items():
             missed += not shares.meets_targets

@@ -222,8 +222,8 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     worst = max(counts["worst_reliable"] for counts in cases)
     right = total["reliable"] - total["reliable_and_beyond_a_tenth"]
     text = (
-        f"Of the {total['reliable']} gratings that the verdict grades as reliable, the orders of {right} have errors of at "
-        f"most 10 % of the reflected power (worst: {100.0 * worst:.0f} %). The grade covers "
+        f"Of the {total['reliable']} gratings that the verdict grades as reliable, the orders of {right} have errors "
+        f"of at most 10 % of the reflected power (worst: {100.0 * worst:.0f} %). The grade covers "
         f"{right / total['right_within_a_tenth']:.0%} of the {total['right_within_a_tenth']} gratings with such errors."
     )
     return {"validity": text}

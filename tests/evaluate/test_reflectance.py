@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from scipy import special
 from conftest import at_angle, hemisphere, relative_errors
+from scipy import special
 
 import warpdiff as wd
 from bench.truth import reference

@@ -26,7 +26,7 @@ USUAL = {
 
 @pytest.mark.parametrize("energy", [None, "stam"])
 def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
-    """Every thirteenth grating of 748, on both sides of the grades; bench/reproduce/theory_verdict judges all of them."""
+    """Every thirteenth grating of 748; bench/reproduce/theory_verdict judges all of them."""
     for name, shares in judged(energy, step=13).items():
         if name.endswith("all"):
             assert shares.wrong_of_reliable <= 0.025, name
@@ -66,7 +66,7 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
 
 
 def test_estimates_of_a_sine_are_their_closed_forms():
-    """Slope πd/(√2 P); light beyond half an order rate: 1 − Σ J_m²(πd/λ) over |m| < P/2λ; (4πs/λ)² λ/P with s² = d²/8."""
+    """Slope πd/(√2 P); narrow light 1 − Σ J_m²(πd/λ) over |m| < P/2λ; depth (4πs/λ)² λ/P with s² = d²/8."""
     period, depth, wavelength = 3.0, 0.3, 0.5
     estimates = theory_verdict._estimates_of(wd.gratings.sinusoidal(period, depth, samples=600), 1e3 * wavelength)
     slope = math.pi * depth / (math.sqrt(2.0) * period)
@@ -159,8 +159,8 @@ def test_calls_warn_in_the_same_words(call):
         "order_efficiencies": lambda: wd.order_efficiencies(heightfield, UP, 550.0),
     }
     words = (
-        "scalar diffraction is invalid at 550 nm: orders may be wrong by 100 % of the reflected power, because the phase "
-        "changes by more than half a cycle between samples"
+        "scalar diffraction is invalid at 550 nm: orders may be wrong by 100 % of the reflected power, because the "
+        "phase changes by more than half a cycle between samples"
     )
     with pytest.warns(wd.WarpdiffWarning, match=words):
         calls[call]()
@@ -169,7 +169,9 @@ def test_calls_warn_in_the_same_words(call):
 
 def test_orders_state_the_worst_of_their_wavelengths_and_their_sum():
     grating = wd.gratings.sinusoidal(2.9, 0.55)
-    with pytest.warns(wd.WarpdiffWarning, match=r"the orders sum to 0\.743 times that power\): use positions of colours"):
+    with pytest.warns(
+        wd.WarpdiffWarning, match=r"the orders sum to 0\.743 times that power\): use positions of colours"
+    ):
         orders = wd.order_efficiencies(grating, at_angle(30.0), [500.0, 900.0], ior=math.inf, energy="stam")
     assert orders.verdict.wavelength_nm == 500.0
     assert orders.verdict.error >= 1.1 * (1.0 - orders.efficiencies[0].sum())

@@ -61,8 +61,8 @@ _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Largest number of incident directions whose sums over orders are made exactly 1.
 _MOST_LIGHTS = 64
 # Cosine from which a direction takes part in the normalisation with its full weight: 5.7° above the horizon. Fitted: of
-# 0.05 to 1 the most accurate orders of perfect mirrors (bench/reproduce/theory_verdict.py); if doubled, their mean error
-# is 3 % larger.
+# 0.05 to 1 the most accurate orders of perfect mirrors (bench/reproduce/theory_verdict.py). If doubled, their mean
+# error is 3 % larger.
 RISEN = 0.1
 # Smallest sum over orders used as a divisor; sums are smaller only if all propagating orders vanish.
 _LEAST_SUM = 1e-12

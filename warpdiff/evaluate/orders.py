@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# Deviation of the sum over Stam's orders from the reflected power, relative to it, above which a call warns. Limit: 90 %
-# of such gratings have an order that is wrong by more than a tenth of the reflected power.
+# Deviation of the sum over Stam's orders from the reflected power, relative to it, above which a call warns. Limit:
+# nine in ten of such gratings have an order that is wrong by more than a tenth of the reflected power.
 _MOST_DEVIATION = 0.2
 # Least reflectance of a flat surface that sums are relative to: rounding of an antireflective film.
 _LEAST_REFLECTANCE = 1e-12
@@ -109,8 +109,8 @@ def order_efficiencies(
         Orders, their directions and efficiencies, and the verdict on them.
 
     Warns:
-        WarpdiffWarning: Scalar diffraction is invalid for this call, or Stam's efficiencies sum to less than 0.8 or more
-            than 1.2 times the reflected power.
+        WarpdiffWarning: Scalar diffraction is invalid for this call, or Stam's efficiencies sum to less than 0.8 or
+            more than 1.2 times the reflected power.
 
     Raises:
         TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
@@ -208,7 +208,7 @@ def _normalised(
     heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
     mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the normalised efficiencies of the propagating orders of one light by those of Stam, (n,), mirrors both."""
+    """Return the normalised efficiencies of a mirror's propagating orders for one light, from those of Stam, (n,)."""
     if len(orders) > energy_normalisation.MOST_EXACT:
         wavelength_nm = 1e3 * wavelength_um
         factors = energy_normalisation.factors_around(heightfield, wavelength_nm).risen(views, wavelength_nm)

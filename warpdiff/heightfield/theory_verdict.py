@@ -1,6 +1,6 @@
 """Verdict on scalar diffraction: how wrong the efficiency of an order may be on a height field, and why.
 
-Each reason estimates the error by itself, and the largest estimate is the verdict:
+Each reason alone estimates the error, and the largest estimate is the verdict:
 
 - steep: 0.22 times the root mean square slope, with frequencies above 1/λ counted as 1/λ.
 - deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope.
@@ -37,8 +37,8 @@ WAVELENGTH_NM = 550.0
 # Error from which a verdict is qualitative. Limit: a tenth of the reflected power. If doubled, more gratings are graded
 # reliable than are.
 QUALITATIVE = 0.1
-# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order that is wrong by more than a tenth of
-# the reflected power. If halved, shallow patterns of two wavelengths are invalid.
+# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order that is wrong by more than a tenth
+# of the reflected power. If halved, shallow patterns of two wavelengths are invalid.
 INVALID = 0.9
 # Errors per unit of each reason. Fitted: bench/reproduce/theory_verdict.py, on two thirds of the periods and depths.
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
@@ -60,8 +60,8 @@ _MOST_RANGE = 6.0
 # Least cosine of an order that is summed: 5.7° above the horizon. Limit: the sum for a few lights must not depend on an
 # order that happens to be near the horizon, where its efficiency diverges.
 _LEAST_COSINE = 0.1
-# Reflectance at normal incidence of a perfect mirror and of glass (n = 1.5), whose orders are summed. The reflectance of
-# glass changes from order to order.
+# Reflectance at normal incidence of a perfect mirror and of glass (n = 1.5), whose orders are summed. The reflectance
+# of glass changes from order to order.
 _MIRROR, _GLASS = 1.0, 0.04
 
 _estimates: weakref.WeakKeyDictionary[HeightField, dict[float, _Estimates]] = weakref.WeakKeyDictionary()
@@ -105,7 +105,9 @@ class TheoryVerdict:
 
     def __str__(self) -> str:
         percent = float(f"{100.0 * min(self.error, 1.0):.2g}")
-        text = f"{self.grade} at {self.wavelength_nm:.4g} nm: orders may be wrong by {percent:g} % of the reflected power"
+        text = (
+            f"{self.grade} at {self.wavelength_nm:.4g} nm: orders may be wrong by {percent:g} % of the reflected power"
+        )
         return text if self.grade == "reliable" else f"{text}, because {_REASONS[self.reason]}"
 
 
@@ -257,7 +259,7 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 def _energy_deviations(
     heights: NDArray[np.float64], window: NDArray[np.float64], orders: NDArray[np.float64], reachable: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """Largest deviations from 1 of the sums of Stam's efficiencies over some directions of light: of a mirror, of glass.
+    """Largest deviations from 1 of the sums of Stam's efficiencies over some lights: of a mirror, and of glass.
 
     Args:
         heights: Heights in wavelengths, shape (ny, nx).

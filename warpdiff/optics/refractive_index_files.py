@@ -70,8 +70,8 @@ def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
     wavelengths = wavelengths[(wavelengths >= max(low, _LEAST_UM)) & (wavelengths <= min(high, _MOST_UM))]
     if not len(wavelengths):
         raise ValueError(
-            f"the file has no wavelength within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, but covers {NM_PER_UM * low:g} to "
-            f"{NM_PER_UM * high:g} nm: wavelengths must be in µm, or the header of a CSV file must say nm"
+            f"the file has no wavelength within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, but covers {NM_PER_UM * low:g} "
+            f"to {NM_PER_UM * high:g} nm: wavelengths must be in µm, or the header of a CSV file must say nm"
         )
     return np.asarray(wavelengths)
 

@@ -90,8 +90,7 @@ def plan(
     request = Evaluation.of(heightfield, PlanSettings(**settings), illuminants=(illuminant,))
     with memory.as_memory_error("plan()", f"use a larger {ref('tolerance')}, or a smaller {ref('heightfield')}"):
         direction_range, sample, count = directions_of(request, to_light, to_view)
-        result = plan_for(request, direction_range, sample, count)
-    return result
+        return plan_for(request, direction_range, sample, count)
 
 
 def directions_of(

@@ -95,6 +95,11 @@ def shade(
                 image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
             )
     warn_unconverged(image)
+    if image.mask.any() and not image.illuminated.any():
+        warn(
+            f"none of the {ref('lights')} illuminates a visible point of the mesh, so that all pixels are black: check "
+            f"{ref('to_light')}, which points from the surface towards the light, and {ref('view')}"
+        )
     return image
 
 
@@ -106,11 +111,6 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     count: float
     if all(part.has_lobes for part in inputs.parts):
         direction_range, sample, count = picture.measure_directions(evaluation.heightfield)
-        if not count:
-            warn(
-                f"none of the {ref('lights')} illuminates a visible point of the mesh, so that all pixels are black: "
-                f"check {ref('to_light')}, which points from the surface towards the light, and {ref('view')}"
-            )
     else:
         # A sky illuminates from the whole hemisphere.
         direction_range, sample, count = directions_of(evaluation)

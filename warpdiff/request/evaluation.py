@@ -99,9 +99,11 @@ class Evaluation:
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether energy is normalised on surfaces that transmit no light, so that orders sum to the reflected power."""
+        """Whether energy is normalised on surfaces that transmit no light."""
         materials = self.materials.values()
-        opaque = all(self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials)
+        opaque = all(
+            self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials
+        )
         return self.energy == "normalised" and opaque
 
     @forks.cached_property
