@@ -23,7 +23,7 @@ import numpy as np
 
 import warpdiff as wd
 from bench.suite import figures
-from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound
+from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 from warpdiff.optics import reflectance_factors
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ CASES = {
     "Sine, perfect mirror": ("sine", None), "Square grooves, perfect mirror": ("square", None),
     "Sawtooth, perfect mirror": ("sawtooth", None), "Sine, n = 1.5": ("sine", 1.5),
 }  # fmt: skip
-# Standard deviation of the heights of each profile, relative to the depth from peak to valley.
-RMS = {"sine": 1.0 / math.sqrt(8.0), "square": 0.5, "sawtooth": 1.0 / math.sqrt(12.0)}
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
 # Angles of incidence [degrees].
 ANGLES = (0.0, 30.0, 60.0)
@@ -52,8 +50,7 @@ UNIT = 1e-5
 LIMIT = 0.1
 # Errors at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
-DENSE = np.geomspace(1e-3, 3.0, 400)
-# Wavelength [nm], to which periods and depths are relative. Limit: the spectral range of the solver's material files.
+# Wavelength [nm]; periods and depths are relative to it. Limit: the spectral range of the solver's material files.
 WAVELENGTH_NM = 500.0
 
 
@@ -150,11 +147,11 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error over period and depth, and counts for the library's rule of validity."""
+    """Return maps of the error and of the verdict on the heights, and counts for the verdict."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
-    maps, rules = {}, {}
+    maps, verdicts, rules = {}, {}, {}
     for case, (shape, index) in CASES.items():
         rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
         worst = []
@@ -165,19 +162,21 @@ def measure(setting: Setting) -> dict[str, Any]:
                     every = zip(ANGLES, angles, strict=True)
                     worst.append(max(error(shape, index, period, depth, angle, row) for angle, row in every))
         errors = np.array(worst).reshape(len(periods), len(depths)).round(5)
-        bounds = [[scalar_error_bound(RMS[shape] * d, 2.0 * d / p, 1000.0) for d in depths] for p in periods]
-        maps[case], rules[case] = errors.tolist(), rule(errors, np.array(bounds))
-    return results | {"maps": maps, "rule": rules}
+        # Lengths are in wavelengths: of 1 µm here.
+        expected = [[verdict_on(GRATINGS[shape](p, d, samples=SAMPLES), 1000.0).error for d in depths] for p in periods]
+        maps[case], verdicts[case], rules[case] = errors.tolist(), expected, rule(errors, np.array(expected))
+    return results | {"maps": maps, "verdicts": verdicts, "rule": rules}
 
 
-def rule(error: np.ndarray, bounds: np.ndarray) -> dict[str, float]:
-    """Return counts and errors of gratings for which the library's bound states reliable or invalid results."""
-    inside, untrusted = bounds <= LIMIT, bounds >= SCALAR_INVALID
+def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
+    """Return counts and errors of the gratings that the verdict grades as reliable, and as invalid."""
+    reliable, invalid = expected < QUALITATIVE, expected >= INVALID
     return {
-        "gratings": error.size, "right_within_a_tenth": int(np.sum(error <= LIMIT)), "inside": int(np.sum(inside)),
-        "inside_and_beyond_a_tenth": int(np.sum(inside & (error > LIMIT))), "worst_inside": float(error[inside].max()),
-        "untrusted": int(np.sum(untrusted)), "untrusted_and_beyond_a_tenth": int(np.sum(untrusted & (error > LIMIT))),
-        "median_error_of_untrusted": float(np.median(error[untrusted])),
+        "gratings": error.size, "right_within_a_tenth": int(np.sum(error <= LIMIT)), "reliable": int(np.sum(reliable)),
+        "reliable_and_beyond_a_tenth": int(np.sum(reliable & (error > LIMIT))),
+        "worst_reliable": float(error[reliable].max()), "invalid": int(np.sum(invalid)),
+        "invalid_and_beyond_a_tenth": int(np.sum(invalid & (error > LIMIT))),
+        "median_error_of_invalid": float(np.median(error[invalid])),
     }  # fmt: skip
 
 
@@ -188,8 +187,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     plt = figures.pyplot()
     periods, depths = np.array(results["periods_in_wavelengths"]), np.array(results["depths_in_wavelengths"])
     figure, axes = plt.subplots(2, 2, figsize=(10.0, 8.6), sharex=True, sharey=True, layout="constrained")
-    fine = np.geomspace(periods[0], periods[-1], 200)
-    for axis, (case, (shape, _)) in zip(axes.flat, CASES.items(), strict=True):
+    for axis, case in zip(axes.flat, CASES, strict=True):
         error = np.maximum(np.array(results["maps"][case]).T, 1e-4)
         colours = axis.pcolormesh(
             periods, depths, error, norm=LogNorm(1e-3, 1.0), cmap="viridis", shading="nearest", rasterized=True
@@ -199,14 +197,10 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
             linestyles="solid",
         )  # fmt: skip
         axis.clabel(lines, fmt=lambda level: f"{10**level:.2g}", fontsize=8)
-        # The drawn curve is the depth at which the error bound reaches its limit. The bound increases with the depth.
-        limit = [
-            np.interp(LIMIT, [scalar_error_bound(RMS[shape] * d, 2 * d / p, 1e3) for d in DENSE], DENSE) for p in fine
-        ]
-        axis.plot(fine, limit, color="#ff5a36", linewidth=2.4)
-        axis.text(
-            14.0, 0.82 * np.interp(14.0, fine, limit), "rule", color="white", fontsize=9, fontweight="bold",
-            ha="center", va="center", bbox={"facecolor": "#ff5a36", "edgecolor": "none", "pad": 2.0},
+        expected = np.log10(np.maximum(np.array(results["verdicts"][case]).T, 1e-4))
+        axis.contour(
+            periods, depths, expected, np.log10((QUALITATIVE, INVALID)), colors="#ff5a36", linewidths=2.4,
+            linestyles=("solid", "dashed"),
         )  # fmt: skip
         axis.set(xscale="log", yscale="log", xlim=(periods[0], periods[-1]), ylim=(depths[0], depths[-1]))
         axis.set_title(case, loc="left", fontweight="bold")
@@ -221,18 +215,18 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     bar.ax.set_yticklabels(["0.001", "0.01", "0.1", "1"])
     bar.set_label("largest error of any order, as a share of the reflected power (worst of 0°, 30°, 60°)")
     figure.suptitle(
-        "Error of scalar diffraction in the efficiency of an order, relative to rigorous solutions\n"
-        "rule: (4πs/λ)² min(1, λ/P) = 0.1; s: rms height, P: period of a sine with the same mean slope",
+        "Error of scalar diffraction in the efficiency of an order, against rigorous solutions\n"
+        "red lines: the verdict on the heights is reliable below the solid and invalid above the dashed one",
         fontsize=11,
     )
     figures.save(figure, folder, "validity")
     cases = list(results["rule"].values())
     total = {name: sum(counts[name] for counts in cases) for name in cases[0]}
-    worst = max(counts["worst_inside"] for counts in cases)
-    right = total["inside"] - total["inside_and_beyond_a_tenth"]
+    worst = max(counts["worst_reliable"] for counts in cases)
+    right = total["reliable"] - total["reliable_and_beyond_a_tenth"]
     text = (
-        f"Where (4πs/λ)² min(1, λ/P) is at most 0.1, the orders of {right} of {total['inside']} gratings have errors "
-        f"of at most 10 % of the reflected power (worst: {100.0 * worst:.0f} %). The rule covers "
+        f"Of the {total['reliable']} gratings that the verdict grades as reliable, the orders of {right} have errors "
+        f"of at most 10 % of the reflected power (worst: {100.0 * worst:.0f} %). The grade covers "
         f"{right / total['right_within_a_tenth']:.0%} of the {total['right_within_a_tenth']} gratings with such errors."
     )
     return {"validity": text}

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from conftest import at_angle, hemisphere, relative_errors
+from scipy import special
 
 import warpdiff as wd
 from bench.truth import reference
@@ -75,7 +76,8 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
         np.testing.assert_allclose(result, expected, rtol=1e-4)
     both = np.array([at_angle(40.0), at_angle(100.0)])
     np.testing.assert_array_equal(wd.brdf(mirror, both, both, wavelengths, **options)[1], 0.0)
-    np.testing.assert_array_equal(wd.brdf(mirror, both[1], UP, wavelengths, **options), 0.0)
+    with pytest.warns(wd.WarpdiffWarning, match="no pair of to_light and to_view is above the horizon"):
+        np.testing.assert_array_equal(wd.brdf(mirror, both[1], UP, wavelengths, **options), 0.0)
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
@@ -109,3 +111,20 @@ def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():
     assert not math.isclose(
         one[0], wd.brdf(grating, lights[0], view, 500.0, **options | {"energy": "stam"})[0], rel_tol=1e-3
     )
+
+
+@pytest.mark.parametrize("kind", ["averaged", "source"])
+def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
+    """A sine's mirror order is J₀²(2πd/λ) at normal incidence and view; a metal multiplies it by its reflectance."""
+    depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
+    grating, aluminium = wd.gratings.sinusoidal(5.0, depth, samples=512), wd.Material.metal("Al")
+    options = {"coherence": wd.Coherence(kind), "tolerance": 1e-3}
+    expected = special.j0(2e3 * math.pi * depth / wavelengths) ** 2
+    spectrum = wd.spectral_reflectance(grating, UP, UP, wavelengths, **options)
+    np.testing.assert_allclose(spectrum, expected, rtol=2e-3, atol=1e-5)
+    metal = wd.spectral_reflectance(grating, UP, UP, wavelengths, material=aluminium, **options)
+    np.testing.assert_allclose(metal, expected * aluminium.reflectance(wavelengths, 0.0), rtol=2e-3, atol=1e-5)
+    orders = wd.order_efficiencies(grating, UP, wavelengths, material=aluminium, energy="stam")
+    np.testing.assert_allclose(orders[0, 0], expected * aluminium.reflectance(wavelengths, 0.0), rtol=1e-9)
+    with pytest.raises(ValueError, match="material must cover 190 to 300 nm, but 'aluminium' is tabulated from 200 to"):
+        wd.spectral_reflectance(grating, UP, UP, [190.0, 300.0], material=aluminium, **options)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -113,7 +114,10 @@ BAD_FILES = {
     "": "the file has no index of refraction n", "wl,n\n": "the file has no index of refraction n",
     "wl,q\n1,2\n": "columns must be a wavelength, n and k", "wl,k\n0.3,1\n": "the file has no index of refraction n",
     "0.3,nan\n": "must be finite", "0.3,-1\n0.8,-1\n": "n must lie within",
-    "3e-5,1\n": "wavelengths_nm must lie within 100",
+    "3e-5,1\n": "no wavelength within 100 to 10000 nm, but covers 0.03 to 0.03 nm: wavelengths must be in µm",
+    "wl,n,k\n0.3,1,3\n0.5,0.7x,6\n": "line 3 must have 3 numbers .wavelength, n, k., got '0.5 0.7x 6'",
+    "wl,n,k\n0.3,1,3\n0.5,0.7\n": "line 3 must have 3 numbers", "wl,n\n0.3,1\n\n0.5,0.7,6\n": "line 4 must have 2",
+    "O.3,1\n": "line 1 must have 2 numbers", "wl,n\n0.3,1_0\n": "line 2 must have 2 numbers",
 }  # fmt: skip
 
 
@@ -133,6 +137,68 @@ def test_other_files_are_refused(text, tmp_path):
     (tmp_path / "a.yml").write_text(text)
     with pytest.raises(ValueError, match="no entry such as '- type: tabulated nk'"):
         wd.Material.from_file(tmp_path / "a.yml")
+
+
+def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
+    """Rows of a YAML table: a stray letter, a number too few or too many, and a comma for a point."""
+    file = tmp_path / "a.yml"
+    for row in ("0.5 2.0x 4.0", "O.5 2.0 4.0", "0.5 2.0", "0.5 2.0 4.0 0.1", "0,5 2.0 4.0", "0.5 - 4.0"):
+        file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))
+        with pytest.raises(ValueError, match=re.escape(f"line 9 must have 3 numbers (wavelength, n, k), got {row!r}")):
+            wd.Material.from_file(file)
+    # Comments, blank lines and the sections that follow a table are no rows.
+    file.write_text(
+        SITE_YAML.replace("        0.8", "\n        # by hand\n        0.8") + "SPECS:\n    n_is_absolute: true\n"
+    )
+    assert np.asarray(wd.Material.from_file(file).wavelengths_nm).tolist() == [300.0, 800.0]
+
+
+def test_a_table_from_x_rays_to_the_far_infrared_is_read_in_its_middle(tmp_path):
+    rows = ["0.0001 1.0 0.0", "0.05 0.9 0.1", "0.1 0.3 1.0", "0.5 0.77 6.08", "10.0 25.0 90.0", "200.0 400.0 480.0"]
+    text = "DATA:\n  - type: tabulated nk\n    data: |\n" + "".join(f"        {row}\n" for row in rows)
+    (tmp_path / "metal.yml").write_text(text)
+    material = wd.Material.from_file(tmp_path / "metal.yml")
+    assert np.asarray(material.wavelengths_nm).tolist() == pytest.approx([100.0, 500.0, 10_000.0])
+    assert np.asarray(material.n).tolist() == pytest.approx([0.3, 0.77, 25.0])
+
+
+# Number of the formula, coefficients as in the database, a wavelength [µm], the index of refraction as published
+# elsewhere, and the difference that is usual between measurements. Sources of the indices, in this order: Malitson
+# (1965), data sheet of Schott N-BK7, catalogue of BK7 of 1996, Zernike (1964) at two wavelengths, a textbook's Cauchy
+# fit of BK7, Edlén (1966), Salzberg and Villa (1957), CRC Handbook for AgBr and urea.
+PUBLISHED = [
+    (1, "0 0.6961663 0.0684043 0.4079426 0.1162414 0.8974794 9.896161", 0.587561, 1.45846, 1e-5),
+    (2, "0 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653", 0.4861327, 1.52238, 1e-5),
+    (3, "2.2718929 -1.0108077E-2 2 1.0592509E-2 -2 2.0816965E-4 -4 -7.6472538E-6 -6 4.9240991E-7 -8", 0.5875618,
+     1.51680, 1e-5),
+    (4, "2.259276 0.01008956 0 0.012942625 1 13.00522 2 400 1", 1.064, 1.4938, 1e-4),
+    (4, "2.259276 0.01008956 0 0.012942625 1 13.00522 2 400 1", 0.532, 1.5124, 2e-4),
+    (5, "1.5046 0.0042 -2", 0.5875618, 1.5168, 1e-4),
+    (6, "0 0.05792105 238.0185 0.00167917 57.362", 0.6328, 1.0002765, 1e-7),
+    (7, "3.41983 0.159906 -0.123109 1.26878E-6 -1.95104E-9", 9.9, 3.4179, 4e-3),
+    (8, "0.452505 0.09939 0.070537 -0.000150", 0.5893, 2.253, 5e-3),
+    (9, "2.51527 0.0240 0.0300 0.020 1.52 0.8771", 0.5893, 1.602, 5e-3),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("number", "coefficients", "um", "n", "difference"), PUBLISHED)
+def test_formulas_give_published_indices(number, coefficients, um, n, difference, tmp_path):
+    text = f"DATA:\n  - type: formula {number}\n    wavelength_range: 0.4 12\n    coefficients: {coefficients}\n"
+    (tmp_path / "a.yml").write_text(text.replace("0.4 12", "0.48 1.2" if um < 1.2 else "2.4 12"))
+    material = wd.Material.from_file(tmp_path / "a.yml")
+    assert np.interp(1e3 * um, material.wavelengths_nm, material.n) == pytest.approx(n, abs=difference)
+
+
+def test_formulas_with_wrong_coefficients_are_refused(tmp_path):
+    text = "DATA:\n  - type: formula {}\n    wavelength_range: 0.4 1\n    coefficients: {}\n"
+    for number, coefficients, message in (
+        ("9", "1 2 3", "formula 9 must have 6 coefficients, got 3"),
+        ("3", "1 0.1x 2", "coefficients of formula 3 must be numbers, got '1 0.1x 2'"),
+        ("10", "1", "formula 10 is not supported: use a table, or formula 1 to 9"),
+    ):
+        (tmp_path / "a.yml").write_text(text.format(number, coefficients))
+        with pytest.raises(ValueError, match=re.escape(message)):
+            wd.Material.from_file(tmp_path / "a.yml")
 
 
 BAD = {

@@ -5,6 +5,7 @@ import pytest
 
 import warpdiff as wd
 from warpdiff.optics.colorimetry import colour_products
+from warpdiff.optics.spectra import colour_science
 
 
 def white(illuminant):
@@ -65,6 +66,34 @@ def test_a_constant_spectrum_equals_illuminant_e_in_calls_and_pictures():
     lights = [wd.DirectionalLight((0.2, 0.3, 1.0), illuminant=illuminant) for illuminant in (even, "E")]
     one, other = (wd.shade(wd.meshes.disc(), heightfield, light, view, refine=False, tolerance=0.1) for light in lights)
     np.testing.assert_allclose(one.xyz, other.xyz, rtol=1e-3, atol=1e-6)
+
+
+def lines(*peaks, half_width=0.08):
+    """A spectrum of triangles at some wavelengths [nm], each with its power."""
+    knots, values = [300.0], [0.0]
+    for nm, power in peaks:
+        knots += [nm - half_width, nm, nm + half_width]
+        values += [0.0, power / half_width, 0.0]
+    return wd.Spectrum([*knots, 900.0], [*values, 0.0], name="lines")
+
+
+@pytest.mark.parametrize("peaks", [
+    [(532.4, 1.0)], [(450.31, 1.0), (610.77, 3.0)], [(543.5, 0.5), (632.8, 1.0), (633.0, 2.0)],
+    [(404.66, 1.0), (435.83, 2.0), (546.07, 1.0), (546.3, 1.0), (576.96, 0.8), (579.07, 0.8)],
+])  # fmt: skip
+def test_lines_narrower_than_a_nanometre_keep_their_power(peaks):
+    """The white of lines is the sum of their powers times the observer's curves, divided by that of ȳ."""
+    observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    curves = [np.interp([nm for nm, _ in peaks], observer.wavelengths, values) for values in observer.values.T]
+    expected = np.array(curves) @ [power for _, power in peaks]
+    np.testing.assert_allclose(white(lines(*peaks)), expected / expected[1], rtol=2e-4)
+
+
+def test_a_fine_table_of_a_smooth_spectrum_has_the_colour_of_a_coarse_one():
+    nm = np.arange(380.0, 780.01, 0.1)
+    coarse = wd.Spectrum.blackbody(3200.0)
+    fine = wd.Spectrum(nm, np.interp(nm, coarse.wavelengths_nm, coarse.values))
+    np.testing.assert_allclose(colour_products(fine), colour_products(coarse), rtol=1e-4, atol=1e-7)
 
 
 def test_light_sources_are_selected_by_name():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeGuard, TypeVar, cast
 
 import numpy as np
 
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Limit on integers, the largest int64; larger ones overflow.
 MOST_COUNT = 2**63 - 1
+# Vectors whose components are multiples of this angle, the largest within these limits, look like degrees. Limit:
+# components of directions are rarely as long and as round.
+_ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 
 def finite_array(
@@ -165,10 +169,31 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
     return array, single
 
 
+def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
+    """Return `directions` of a caller, with a warning if they look like angles in degrees."""
+    result = directions(value, name)
+    if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
+        first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])
+        warn(
+            f"{ref(name)} ({first}) looks like angles in degrees, but it is a vector (x, y, z): for θ from the normal and "
+            "φ around it, it is (sin θ cos φ, sin θ sin φ, cos θ)"
+        )
+    return result
+
+
+def _look_like_degrees(vectors: NDArray[np.float64]) -> bool:
+    """Whether vectors, shape (n, 3), consist of round angles, or of 1, and at least two components are not 0."""
+    sizes = np.abs(vectors)
+    if not sizes.size or not _LEAST_DEGREES <= sizes.max() <= _MOST_DEGREES:
+        return False
+    is_round = (sizes % _ROUND_DEGREES == 0.0) | (sizes == 1.0)
+    return bool(is_round.all() and np.any(np.count_nonzero(sizes, axis=1) > 1))
+
+
 def light_and_view(to_light: object, to_view: object) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
     """Return the directions to light and viewer as unit vectors (n, 3), and whether both were single vectors."""
-    lights, one_light = directions(to_light, "to_light")
-    views, one_view = directions(to_view, "to_view")
+    lights, one_light = unit_directions(to_light, "to_light")
+    views, one_view = unit_directions(to_view, "to_view")
     if len(lights) != len(views) and 1 not in (len(lights), len(views)):
         raise ArgumentValueError(
             f"{ref('to_light')} and {ref('to_view')} must hold the same number of directions, or one, got "

@@ -6,6 +6,10 @@ grazing angles and is below 1 where few orders propagate. Division by the albedo
 energy but violates reciprocity. Here K becomes a(ωi) K a(ωr). The function a of direction and wavelength makes the sums
 over orders 1 for every incident direction and preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to matrices
 with prescribed row and column sums).
+
+K grows without bound where an order leaves along the horizon. There the prescribed sum is not 1 but `rise`, which falls
+to 0 at the horizon, so that efficiencies are continuous where an order begins or ceases to propagate. The remaining
+power of such a direction goes to its mirror direction: at grazing incidence every surface becomes a mirror.
 """
 
 from __future__ import annotations
@@ -58,6 +62,10 @@ _STEEPEST = math.radians(80.0)
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Largest number of incident directions whose sums over orders are made exactly 1.
 _MOST_LIGHTS = 64
+# Cosine from which a direction takes part in the normalisation with its full weight: 5.7° above the horizon. Fitted: of
+# 0.05 to 1 the most accurate orders of perfect mirrors (bench/reproduce/theory_verdict.py). If doubled, their mean
+# error is 3 % larger.
+RISEN = 0.1
 # Smallest sum over orders used as a divisor; sums are smaller only if all propagating orders vanish.
 _LEAST_SUM = 1e-12
 
@@ -122,6 +130,12 @@ def _block_starts(n: int, block: int) -> NDArray[np.int64]:
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
 
 
+def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weight of directions by their cosine, from 0 at the horizon to 1 at `RISEN`, with the slope 0 at both ends."""
+    share = np.minimum(cosines / RISEN, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
 def stam(
     cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -149,6 +163,10 @@ class EnergyFactors:
         before = min(int(place), len(self.wavelengths_nm) - 2)
         values = (before + 1.0 - place) * self.values[before] + (place - before) * self.values[before + 1]
         return np.asarray(np.sum(weights * values.ravel()[nodes], axis=1))
+
+    def risen(self, views: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+        """Factors at views (n, 3), which fall to 0 at the horizon, where K grows without bound, shape (n,)."""
+        return self.at(views, wavelength_nm) * rise(views[:, 2])
 
 
 @dataclass(frozen=True)
@@ -307,16 +325,24 @@ def _distributed(
     return result
 
 
-def balanced(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Balance a matrix K: return factors a of rows, (n,), and b of columns, (m,), with a (K b) = 1 and b (Kᵀ a) = 1."""
+def balanced(
+    matrix: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return factors a of rows, (n,), and b of columns, (m,), with the sums a (K b) and b (Kᵀ a) that are prescribed.
+
+    Args:
+        matrix: K, shape (n, m).
+        rows: Prescribed sums of the rows, more than 0, shape (n,).
+        columns: Prescribed sums of the columns, more than 0, shape (m,).
+    """
     first, second = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
     for _ in range(_MOST_SWEEPS):
         before = first
-        first = 1.0 / np.maximum(matrix @ second, _LEAST_SUM)
-        second = 1.0 / np.maximum(matrix.T @ first, _LEAST_SUM)
+        first = rows / np.maximum(matrix @ second, _LEAST_SUM)
+        second = columns / np.maximum(matrix.T @ first, _LEAST_SUM)
         if np.max(np.abs(first / before - 1.0)) < _CONVERGED:
             break
-    return 1.0 / np.maximum(matrix @ second, _LEAST_SUM), second
+    return rows / np.maximum(matrix @ second, _LEAST_SUM), second
 
 
 def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -336,7 +362,7 @@ def sums_from(
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
         views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)
-        result[row] = max(float(efficiencies @ factors.at(views, wavelength_nm)), _LEAST_SUM)
+        result[row] = max(float(efficiencies @ factors.risen(views, wavelength_nm)), _LEAST_SUM)
     return result
 
 
@@ -360,5 +386,5 @@ def between(
             first = factors.at(distinct, wavelength_nm)
         else:
             first = 1.0 / sums_from(factors, powers, distinct, wavelength_nm)
-        result[:, column] = first[which.ravel()] * factors.at(views, wavelength_nm)
+        result[:, column] = first[which.ravel()] * factors.risen(views, wavelength_nm)
     return result

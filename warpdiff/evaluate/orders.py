@@ -20,6 +20,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction import chebyshev, energy_normalisation
 from warpdiff.heightfield.field import check_whole
+from warpdiff.heightfield.theory_verdict import verdict_on
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import check_covers, check_reflection, reflectances
@@ -30,9 +31,15 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
+    from warpdiff.heightfield.theory_verdict import TheoryVerdict
     from warpdiff.optics.materials import Material
 
 
+# Deviation of the sum over Stam's orders from the reflected power, relative to it, above which a call warns. Limit:
+# nine in ten of such gratings have an order that is wrong by more than a tenth of the reflected power.
+_MOST_DEVIATION = 0.2
+# Least reflectance of a flat surface that sums are relative to: rounding of an antireflective film.
+_LEAST_REFLECTANCE = 1e-12
 # Measured memory [bytes]: per height sample, per order and wavelength, and per order and interpolation term.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 
@@ -47,6 +54,7 @@ class OrderEfficiencies:
         to_view: Unit vectors ωr of the reflected orders, shape (m, n, 3); NaN where an order is evanescent.
         efficiencies: Reflected power of each order relative to the incident power, shape (m, n); 0 where an order is
             evanescent.
+        verdict: Verdict on scalar diffraction for the height field, the light and the worst of the wavelengths.
 
     Examples:
         >>> import warpdiff as wd
@@ -62,6 +70,7 @@ class OrderEfficiencies:
     orders: NDArray[np.int64]
     to_view: NDArray[np.float64]
     efficiencies: NDArray[np.float64]
+    verdict: TheoryVerdict
 
     def __repr__(self) -> str:
         low, high = self.wavelengths_nm.min(), self.wavelengths_nm.max()
@@ -101,7 +110,11 @@ def order_efficiencies(
             no light, and uses Stam's efficiencies for other surfaces.
 
     Returns:
-        Orders, their directions and efficiencies.
+        Orders, their directions and efficiencies, and the verdict on them.
+
+    Warns:
+        WarpdiffWarning: Scalar diffraction is invalid for this call, or Stam's efficiencies sum to less than 0.8 or
+            more than 1.2 times the reflected power.
 
     Raises:
         TypeError: ``heightfield`` is not a height field, or an argument is not numeric.
@@ -116,7 +129,7 @@ def order_efficiencies(
         array([0.0119, 0.0095])
     """
     check_whole(heightfield)
-    light = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0]
+    light = validation.unit_directions(validation.vector(to_light, "to_light"), "to_light")[0]
     if light[0, 2] <= HORIZON:
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
@@ -149,31 +162,61 @@ def order_efficiencies(
     to_view = np.full((*lives.shape, 3), np.nan)
     to_view[lives] = np.column_stack([tangential[lives], np.sqrt(upward[lives])])
     efficiencies = np.zeros(lives.shape)
+    energy_sums = np.ones(len(wavelengths))
     for row, wavelength in enumerate(wavelengths * 1e-3):
         live = lives[row]
         views = to_view[row, live]
         lights = np.broadcast_to(light, views.shape)
         powers = np.abs(_coefficients(heightfield, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
         mirrors = powers * reflectance_factors.gain(lights, views, normal=1.0, masking=False, per_light_cosine=True)
+        stam = mirrors
         if energy == "normalised":
-            mirrors *= _balance(heightfield, light[0], orders[live], views, mirrors, wavelength)
+            mirrors = _normalised(heightfield, light[0], orders[live], views, mirrors, wavelength)
         if material is not None:
-            reflected = reflectances(material, -lights - views, 1e3 * wavelength * np.ones(1))[:, 0]
+            scattering_vectors = np.concatenate([-lights - views, [[0.0, 0.0, -2.0 * light[0, 2]]]])
+            reflected = reflectances(material, scattering_vectors, 1e3 * wavelength * np.ones(1))[:, 0]
         else:
-            cosines = np.minimum(np.linalg.norm(lights + views, axis=1) / 2.0, 1.0)
-            reflected = reflectance_factors.schlick(cosines, normal)
-        efficiencies[row, live] = reflected * mirrors
-    return OrderEfficiencies(wavelengths, orders, to_view, efficiencies)
+            cosines = np.append(np.linalg.norm(lights + views, axis=1) / 2.0, light[0, 2])
+            reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
+        efficiencies[row, live] = reflected[:-1] * mirrors
+        # The last reflectance is that of a flat surface.
+        energy_sums[row] = np.sum(reflected[:-1] * stam) / max(reflected[-1], _LEAST_REFLECTANCE)
+    is_opaque = normal == 1.0 if material is None else material.is_opaque
+    verdict = _verdict(heightfield, wavelengths, energy_sums, conserves=energy == "normalised" and is_opaque)
+    _warn_of_theory(verdict, energy_sums, energy=energy)
+    return OrderEfficiencies(wavelengths, orders, to_view, efficiencies, verdict)
 
 
-def _balance(
+def _verdict(
+    heightfield: HeightField, wavelengths_nm: NDArray[np.float64], energy_sums: NDArray[np.float64], *, conserves: bool
+) -> TheoryVerdict:
+    """Return the worst verdict of three wavelengths: the shortest, the longest, and that with the worst sum."""
+    rows = {np.argmin(wavelengths_nm), np.argmax(wavelengths_nm), np.argmax(np.abs(energy_sums - 1.0))}
+    verdicts = (
+        verdict_on(heightfield, float(wavelengths_nm[row]), conserves=conserves, energy_sum=float(energy_sums[row]))
+        for row in sorted(rows)
+    )
+    return max(verdicts, key=lambda verdict: verdict.error)
+
+
+def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
+    """Warn of invalid efficiencies, and of Stam's efficiencies whose sum is far from the reflected power."""
+    worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
+    if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
+        warn(f"scalar diffraction is {verdict} (the orders sum to {worst:.3g} times that power): {verdict.remedy}")
+    elif verdict.grade == "invalid":
+        warn(f"scalar diffraction is {verdict}: {verdict.remedy}")
+
+
+def _normalised(
     heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
     mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the ratio of normalised efficiencies to those of Stam, for the propagating orders of one light, (n,)."""
+    """Return the normalised efficiencies of a mirror's propagating orders for one light, from those of Stam, (n,)."""
     if len(orders) > energy_normalisation.MOST_EXACT:
-        factors = energy_normalisation.factors_around(heightfield, 1e3 * wavelength_um).at(views, 1e3 * wavelength_um)
-        return np.asarray(factors / (mirrors @ factors))
+        wavelength_nm = 1e3 * wavelength_um
+        factors = energy_normalisation.factors_around(heightfield, wavelength_nm).risen(views, wavelength_nm)
+        return np.asarray(mirrors * factors / (mirrors @ factors))
     # The rows of the matrix are incident directions that differ from the light by whole orders. The columns are the
     # reflected directions, which are the same for all rows.
     steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
@@ -190,8 +233,13 @@ def _balance(
     w = cosines[:, None] + views[:, 2]
     powers = np.abs(_coefficients(heightfield, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
     matrix = powers * energy_normalisation.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
-    first, second = energy_normalisation.balanced(matrix)
-    return np.asarray(first[np.flatnonzero(~shifts.any(axis=1))] * second)
+    rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
+    first, second = energy_normalisation.balanced(matrix, rows, columns)
+    own = np.flatnonzero(~shifts.any(axis=1))[0]
+    result = first[own] * second * matrix[own]
+    # The share that a light near the horizon does not send into its orders stays with its mirror order.
+    result[~orders.any(axis=1)] += 1.0 - rows[own]
+    return np.asarray(result)
 
 
 @single_threaded_blas()

@@ -21,7 +21,7 @@ from warpdiff.image.report import report_of
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, check_reflection, reflectances
-from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.refusals import warn_of_darkness, warn_outside
 from warpdiff.planner.strategy import plan_for
 from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Evaluation
@@ -157,7 +157,7 @@ def reflectance_map(
     """
     request = Evaluation.of(heightfield, EvaluationSettings(**settings), illuminants=(illuminant,))
     progress = reporter(progress, "reflectance map")
-    light, single = validation.directions(to_light, "to_light")
+    light, single = validation.unit_directions(to_light, "to_light")
     if not single:
         raise ArgumentValueError(f"{ref('to_light')} must have shape (3,) for a map, got {np.shape(to_light)}")
     if light[0, 2] <= HORIZON:
@@ -269,6 +269,8 @@ class _Call:
             per_light_cosine=request.coherence.kind == "source",
         )  # fmt: skip
         illuminated = self._gains > 0.0
+        if directions and not illuminated.any():
+            warn_of_darkness()
         energy = request.energy_factors
         if energy is not None:
             self._gains[illuminated] *= energy.between(self._lights[illuminated], self._views[illuminated])

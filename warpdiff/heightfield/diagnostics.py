@@ -1,4 +1,4 @@
-"""Diagnostics of a height field: summary, units, aliasing, and the error of scalar diffraction itself."""
+"""Diagnostics of a height field: summary, units and aliasing."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ref
+from warpdiff.heightfield.theory_verdict import verdict_on
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period
+    from warpdiff.heightfield.theory_verdict import TheoryVerdict
 
 # Limits on the periods of a summary: relative standard error, and share of the variance. Doubled values list periods
 # that are less certain, or fewer periods.
@@ -45,17 +47,6 @@ _RING = 0.1
 _SAMPLES_AT_ONCE = 2**18
 _spectra: weakref.WeakKeyDictionary[HeightField, tuple[np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
 
-# Wavelength of the reported error of scalar diffraction [nm]: green, the middle of the visible range.
-WAVELENGTH_NM = 550.0
-# Error bound below which scalar diffraction is graded reliable: 356 of 357 gratings had errors below 10 % of the
-# reflected power (bench/suite/validity). If doubled, more surfaces are graded reliable than are.
-SCALAR_RELIABLE = 0.1
-# Error bound from which it is graded invalid: 97 of 100 gratings had an order with an error above 10 % of the reflected
-# power.
-SCALAR_INVALID = 3.0
-# Error of normalised efficiencies relative to that of Stam's model, fitted by bench/suite/validity.
-_NORMALISED_SHARE = 0.5
-
 
 @dataclass(frozen=True)
 class HeightFieldSummary:
@@ -73,8 +64,7 @@ class HeightFieldSummary:
             1 % of the variance, see `HeightField.periods`. A field of a single period has none.
         max_uv: Largest component of the scattering vector (u, v) = −ωi − ωr that the pitch supports at 380 nm:
             λ / (2 · pitch). From 2 on, no pair of light and view aliases.
-        scalar_error: Bound of the error of scalar diffraction at 550 nm, relative to the reflected power, see
-            `scalar_error_bound`.
+        verdict: Verdict on scalar diffraction at 550 nm, as far as it follows from the heights alone.
         missing: Number of missing samples.
         orientation: Where row 0 is, in words.
     """
@@ -88,9 +78,14 @@ class HeightFieldSummary:
     mean_slope: float
     periods: tuple[Period, ...]
     max_uv: float
-    scalar_error: float
+    verdict: TheoryVerdict
     missing: int
     orientation: str
+
+    @property
+    def scalar_error(self) -> float:
+        """Expected error of scalar diffraction at 550 nm, relative to the reflected power: that of ``verdict``."""
+        return self.verdict.error
 
     def __str__(self) -> str:
         """Return the summary as lines of text."""
@@ -108,7 +103,7 @@ class HeightFieldSummary:
                 f"height range      {self.height_range_um:.4g} µm, rms {self.rms_um:.4g} µm",
                 f"slope             rms {self.rms_slope:.3g} ({slope_deg:.1f}°), mean {self.mean_slope:.3g}",
                 f"periods           {periods}", f"supports          {supported} at {LAMBDA_MIN_NM} nm",
-                f"scalar theory     {scalar_error_text(self.scalar_error)}",
+                f"scalar theory     {self.verdict}",
             ]
         )  # fmt: skip
 
@@ -128,8 +123,8 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
             and period.share >= _LEAST_SHARE
         ),
         max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * pitch) if pitch else math.inf,
-        scalar_error=scalar_error_bound(heightfield.rms_um, heightfield.mean_slope),
-        missing=int(np.count_nonzero(heightfield.missing)), orientation=_orientation(heightfield),
+        verdict=verdict_on(heightfield), missing=int(np.count_nonzero(heightfield.missing)),
+        orientation=_orientation(heightfield),
     )  # fmt: skip
 
 
@@ -244,49 +239,3 @@ def _spectrum(heightfield: HeightField) -> tuple[np.ndarray, np.ndarray]:
         power = np.abs(np.fft.fft2(field)) ** 2
         _spectra[heightfield] = np.hypot(q[0][:, None], q[1]).ravel(), power.ravel()
     return _spectra[heightfield]
-
-
-def scalar_error_bound(
-    rms_um: float, mean_slope: float, wavelength_nm: float = WAVELENGTH_NM, *, normalised: bool = False
-) -> float:
-    """Bound of the error of an order's efficiency by scalar diffraction, relative to a flat surface's reflected power.
-
-    The bound is (4πs/λ)² · min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/slope is the
-    period of a sine with the same s and the same mean slope. The first factor is the power that scalar theory removes
-    from the zeroth order of a slightly rough surface. If the period is too short for other orders, all of this power is
-    wrong. The mean slope has two advantages: unlike the mean square slope it does not depend on the sampling of walls,
-    and unlike the strongest period of a scan it does not depend on waviness.
-
-    The rule was fitted to rigorous solutions (bench/suite/validity) and is not a theorem. It gave at most 0.1 for 357
-    of 748 gratings; one of these had a larger error, 0.12. Up to 0.5, no error exceeded the bound by more than a factor
-    of 1.8. For sines of long periods the errors are much smaller than the bound. Normalised efficiencies of mirrors
-    have half the bound. It was at most 0.1 for 313 of 561 gratings; three of these had larger errors, up to 0.22. 95 %
-    of the errors were at most 1.1 times this half.
-
-    Args:
-        rms_um: Standard deviation of the heights [µm].
-        mean_slope: Mean absolute slope (a ratio).
-        wavelength_nm: Wavelength [nm].
-        normalised: Whether efficiencies are normalised, as with ``order_efficiencies(..., energy="normalised")``.
-
-    Returns:
-        The bound; 0 for a flat surface. From 1 on, no efficiency is reliable.
-    """
-    rms = rms_um / (wavelength_nm * 1e-3)
-    if rms == 0.0:
-        return 0.0
-    bound = (4.0 * math.pi * rms) ** 2 * min(1.0, mean_slope / (4.0 * math.sqrt(2.0) * rms))
-    return bound * (_NORMALISED_SHARE if normalised else 1.0)
-
-
-def scalar_error_text(bound: float) -> str:
-    """Return a `scalar_error_bound` in words, graded as reliable, qualitative or invalid."""
-    grade = "invalid" if bound >= SCALAR_INVALID else "reliable" if bound < SCALAR_RELIABLE else "qualitative"
-    text = f"{grade} at {WAVELENGTH_NM:g} nm:"
-    if grade == "invalid":
-        return (
-            f"{text} the surface is too deep and too steep (error bound {bound:.3g}; reliable below {SCALAR_RELIABLE})"
-        )
-    percent = float(f"{100.0 * min(bound, 1.0):.2g}")
-    text = f"{text} order efficiencies may be off by up to {percent:g} % of the reflected power (bound {bound:.3g})"
-    return text if grade == "reliable" else f"{text}: do not trust brightness"

@@ -55,7 +55,7 @@ class DirectionalLight(Checked, LobeLight):
     angular_diameter_deg: Annotated[float, Interval(ge=0.0, le=_WIDEST_DEG), Unit("°")] = 0.0
 
     def __post_init__(self) -> None:
-        unit = validation.directions(validation.vector(self.to_light, "to_light"), "to_light")[0][0]
+        unit = validation.unit_directions(validation.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", tuple(unit.tolist()))
         super().__post_init__()
         check_illuminant_type(self.illuminant)

@@ -194,7 +194,7 @@ class Environment(Checked, Light):
             >>> wd.Environment.clear_sky((1.0, 0.8, 0.3))
             Environment(512 × 1024 pixels, rotation_deg=-106.523, scale=1, directions=None)
         """
-        towards = validation.directions(validation.vector(sun_direction, "sun_direction"), "sun_direction")[0][0]
+        towards = validation.unit_directions(validation.vector(sun_direction, "sun_direction"), "sun_direction")[0][0]
         x, y, z = towards.tolist()
         if y <= 0.0:
             raise ArgumentValueError(

@@ -1,9 +1,9 @@
 """Colorimetry: CIE 1931 2° observer, illuminants, quadrature weights, XYZ to linear sRGB, sRGB encoding.
 
 The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ come from
-colour-science at steps of 1 nm and are interpolated linearly. The two end points have full weight, so that ρ = 1 gives
-exactly the sum over the 1 nm steps. The products of D65 are stored in a file, because the import of colour-science
-takes 0.7 s.
+colour-science at steps of 1 nm and are interpolated linearly. Lines of S that are narrower than a step keep their
+power. The two end points have full weight, so that ρ = 1 gives exactly the sum over the 1 nm steps. The products of D65
+are stored in a file, because the import of colour-science takes 0.7 s.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 _STENCIL = 6
 # Limits of the loop that removes negative weights: number of rounds, and share of all weights that ends it (rounding).
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
+
+# Difference from 1 nm by which steps of a table still count as 1 nm [nm]. Limit: rounding of wavelengths in a file.
+_STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
@@ -106,11 +109,36 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
     """
     name = check_illuminant(illuminant)
     if isinstance(name, Spectrum):
-        products = _products(np.interp(VISIBLE_NM, np.asarray(name.wavelengths_nm), np.asarray(name.values)))
+        products = _products(_at_whole_nanometres(np.asarray(name.wavelengths_nm), np.asarray(name.values)))
     else:
         products = np.load(PRECOMPUTED[name]) if name in PRECOMPUTED else products_by_colour_science(name)
     products.setflags(write=False)
     return products
+
+
+def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of a spectrum at 380, 381, … 780 nm that keep its power, shape (401,).
+
+    A table with steps of at least 1 nm is interpolated. A finer one can have lines between two whole nanometres. Its
+    power is therefore distributed to both in inverse proportion to the distance, which preserves power and position.
+    """
+    inside = (wavelengths_nm > LAMBDA_MIN_NM - 1) & (wavelengths_nm < LAMBDA_MAX_NM + 1)
+    if np.min(np.diff(wavelengths_nm[inside]), initial=1.0) >= 1.0 - _STEP_ROUNDING:
+        return np.asarray(np.interp(VISIBLE_NM, wavelengths_nm, values))
+    cuts = np.unique(np.concatenate([VISIBLE_NM, np.clip(wavelengths_nm, LAMBDA_MIN_NM, LAMBDA_MAX_NM)]))
+    # Between two cuts the spectrum and the distances are linear, so that Simpson's rule is exact.
+    left, length = cuts[:-1], np.diff(cuts)
+    result = np.zeros(len(VISIBLE_NM))
+    for place, weight in ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)):
+        points = left + place * length
+        power = weight * length * np.interp(points, wavelengths_nm, values)
+        before = np.clip(np.floor(left - LAMBDA_MIN_NM).astype(np.int64), 0, len(VISIBLE_NM) - 2)
+        share = points - VISIBLE_NM[before]
+        np.add.at(result, before, power * (1.0 - share))
+        np.add.at(result, before + 1, power * share)
+    # The ends have half a nanometre of the spectrum, and full weight in the sum over wavelengths.
+    result[[0, -1]] *= 2.0
+    return result
 
 
 def products_by_colour_science(name: str) -> NDArray[np.float64]:

@@ -166,7 +166,7 @@ class Material:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Material:
-        r"""Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1, 2, 3 and 5) or its CSV.
+        r"""Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1 to 9) or its CSV.
 
         Args:
             path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of

@@ -1,8 +1,11 @@
-"""Readers of refractive index files of refractiveindex.info, in YAML or CSV."""
+"""Readers of refractive index files of refractiveindex.info, in YAML or CSV.
+
+Every row of a table counts: a row that is not a wavelength and its numbers is refused with its line, never dropped.
+Rows outside the wavelengths that a `warpdiff.Material` takes (100 to 10,000 nm) are cut off.
+"""
 
 from __future__ import annotations
 
-import math
 import re
 from typing import TYPE_CHECKING
 
@@ -10,6 +13,7 @@ import numpy as np
 
 from warpdiff.core.files import read_text
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.colorimetry import LONGEST_NM, NM_PER_UM, SHORTEST_NM
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,10 +21,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of wavelengths at which a formula is tabulated, from 0.1 to 10 µm in equal ratios; linear in between.
+    Lines = list[tuple[int, list[str]]]
+
+# Wavelengths that a material takes [µm], those of `warpdiff.optics.colorimetry`.
+_LEAST_UM, _MOST_UM = SHORTEST_NM / NM_PER_UM, LONGEST_NM / NM_PER_UM
+# Number of wavelengths at which a formula is tabulated, in equal ratios; linear in between. If halved, the index of
+# N-BK7 is wrong by up to 4e-5.
 _STEPS = 512
+# Constant of Herzberger's formula [µm²], from its definition.
+_HERZBERGER_UM2 = 0.028
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
 _TAGS = re.compile(r"<[^>]*>")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 
 Table = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
 
@@ -30,7 +42,7 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
     Raises:
         OSError: The file does not exist, or cannot be read.
-        ValueError: The file has no index of refraction that can be read.
+        ValueError: The file has no index of refraction that can be read, or a row that is none.
     """
     text = read_text(file)
     try:
@@ -43,19 +55,24 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
         raise ArgumentValueError(f"{ref('path')}: {file.name}: {error}") from None
     n = np.interp(um, *tables["n"])
     k = np.interp(um, *tables["k"]) if "k" in tables else np.zeros_like(um)
-    return 1e3 * um, n, k, source
+    return NM_PER_UM * um, n, k, source
 
 
 def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
-    """Wavelengths [µm] of the tables of n and k, within the range that both cover."""
+    """Wavelengths [µm] of the tables of n and k, within the range that both cover and that a material takes."""
     if "n" not in tables:
         raise ValueError("the file has no index of refraction n")
     columns = [wavelengths for wavelengths, _ in tables.values()]
     low, high = max(column[0] for column in columns), min(column[-1] for column in columns)
-    wavelengths = np.unique(np.concatenate(columns))
-    wavelengths = wavelengths[(wavelengths >= low) & (wavelengths <= high)]
-    if not len(wavelengths):
+    if low > high:
         raise ValueError("n and k have no wavelengths in common")
+    wavelengths = np.unique(np.concatenate(columns))
+    wavelengths = wavelengths[(wavelengths >= max(low, _LEAST_UM)) & (wavelengths <= min(high, _MOST_UM))]
+    if not len(wavelengths):
+        raise ValueError(
+            f"the file has no wavelength within {SHORTEST_NM:g} to {LONGEST_NM:g} nm, but covers {NM_PER_UM * low:g} "
+            f"to {NM_PER_UM * high:g} nm: wavelengths must be in µm, or the header of a CSV file must say nm"
+        )
     return np.asarray(wavelengths)
 
 
@@ -76,105 +93,179 @@ def _yaml(text: str) -> tuple[dict[str, Table], str]:
                 raise ValueError(
                     f"data of type {kind!r} are not supported: use 'tabulated nk', 'tabulated n' or 'tabulated k'"
                 )
-            rows = _rows([line.split() for line in body.split("\n")], 1 + len(columns))
+            lines = _data_lines(body, text.count("\n", 0, block.end()) + 1)
+            rows = _rows(lines, ["wavelength", *columns])
             for column, name in enumerate(columns):
                 tables[name] = _ordered(rows[:, 0], rows[:, 1 + column])
         elif kind.startswith("formula "):
             tables["n"] = _formula(kind.removeprefix("formula ").strip(), body)
         else:
-            raise ValueError(f"data of type {kind!r} are not supported: use a table, or formula 1, 2, 3 or 5")
+            raise ValueError(f"data of type {kind!r} are not supported: use a table, or formula 1 to 9")
     reference = re.search(r"^REFERENCES:\s*\|?\s*(.*?)^(?=[A-Z]+:)", text, re.MULTILINE | re.DOTALL)
     source = " ".join(_TAGS.sub("", reference[1]).split()).strip("\"' ") if reference else ""
     return tables, source
 
 
+def _data_lines(body: str, first_line: int) -> Lines:
+    """Lines of a YAML block's table with their numbers: all those below ``data:`` that are indented more than it."""
+    lines: Lines = []
+    indent = -1
+    for number, line in enumerate(body.split("\n"), start=first_line):
+        stripped = line.strip()
+        depth = len(line) - len(line.lstrip())
+        if indent < 0:
+            if stripped.startswith("data:"):
+                indent = depth
+        elif stripped and not stripped.startswith("#"):
+            if depth <= indent:
+                break
+            lines.append((number, stripped.split()))
+    return lines
+
+
 def _formula(number: str, body: str) -> Table:
     """Tabulate a formula of refractiveindex.info; c holds its ``coefficients`` in their order."""
     if number not in _FORMULAS:
-        raise ValueError(f"formula {number} is not supported: use a table, or formula 1, 2, 3 or 5")
+        raise ValueError(f"formula {number} is not supported: use a table, or formula 1 to 9")
     numbers = {}
     for name, key in (("wavelength_range", "(?:wavelength_range|range)"), ("coefficients", "coefficients")):
         line = re.search(rf"^\s*{key}:[ \t]*([^\n]*)$", body, re.MULTILINE)
         if line is None:
             raise ValueError(f"formula {number} has no {name}")
-        numbers[name] = [float(word) for word in line[1].split()]
-    limits, c = numbers["wavelength_range"], numbers["coefficients"]
-    if len(limits) != 2 or not 0.0 < limits[0] < limits[1] < math.inf or len(c) < 1:
+        numbers[name] = [_number(word) for word in line[1].split("#")[0].split()]
+        if None in numbers[name]:
+            raise ValueError(f"{name} of formula {number} must be numbers, got {line[1].strip()!r}")
+    limits, c = (np.array(values, dtype=np.float64) for values in numbers.values())
+    if len(limits) != 2 or not 0.0 < limits[0] < limits[1] < np.inf or len(c) < 1:
         raise ValueError(f"formula {number} must have a wavelength_range of two numbers and at least one coefficient")
-    um = np.geomspace(max(limits[0], 0.1), min(limits[1], 10.0), _STEPS)
+    evaluate, counts = _FORMULAS[number]
+    if len(c) not in counts:
+        raise ValueError(f"formula {number} must have {_range_text(counts)} coefficients, got {len(c)}")
+    low, high = max(limits[0], _LEAST_UM), min(limits[1], _MOST_UM)
+    if low >= high:
+        return limits, np.ones(2)
+    um = np.geomspace(low, high, _STEPS)
     with np.errstate(all="ignore"):
-        n = _FORMULAS[number](um, c[0], list(zip(c[1::2], c[2::2], strict=False)))
+        n = evaluate(um, np.pad(c, (0, counts[-1] - len(c))))
     if not np.all(np.isfinite(n)):
         raise ValueError(f"formula {number} must have a finite index of refraction at all wavelengths")
     return um, n
 
 
-def _sellmeier(
-    um: NDArray[np.float64], first: float, pairs: list[tuple[float, float]], *, squared: bool
+def _range_text(counts: range) -> str:
+    return f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+
+
+def _pair_sum(
+    c: NDArray[np.float64], first: int, term: Callable[[float, float], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    return np.asarray(np.sqrt(1.0 + first + sum(b * um**2 / (um**2 - (c**2 if squared else c)) for b, c in pairs)))
+    """Sum a term over the pairs of coefficients from an index on; pairs whose first number is 0 contribute nothing."""
+    return np.asarray(sum(term(a, b) for a, b in zip(c[first::2], c[first + 1 :: 2], strict=True) if a != 0.0))
 
 
-_FORMULAS: dict[str, Callable[[NDArray[np.float64], float, list[tuple[float, float]]], NDArray[np.float64]]] = {
-    "1": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=True),
-    "2": lambda um, first, pairs: _sellmeier(um, first, pairs, squared=False),
-    "3": lambda um, first, pairs: np.sqrt(first + sum(c * um**power for c, power in pairs)),
-    "5": lambda um, first, pairs: np.asarray(first + sum(c * um**power for c, power in pairs)),
+def _retro(um: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return n from (n² − 1)/(n² + 2), the quantity of the formula of Lorentz and Lorenz."""
+    share = c[0] + c[1] * um**2 / (um**2 - c[2]) + c[3] * um**2
+    return np.asarray(np.sqrt((1.0 + 2.0 * share) / (1.0 - share)))
+
+
+def _herzberger(um: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+    inverse = 1.0 / (um**2 - _HERZBERGER_UM2)
+    return np.asarray(c[0] + c[1] * inverse + c[2] * inverse**2 + c[3] * um**2 + c[4] * um**4 + c[5] * um**6)
+
+
+# Index of refraction by the number of its formula, at wavelengths [µm] and from coefficients, which are padded by zeros
+# to the largest of their legal counts. Definitions: "Dispersion formulas" of the refractiveindex.info database.
+_FORMULAS: dict[str, tuple[Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]], range]] = {
+    # Sellmeier, with resonances in µm.
+    "1": (
+        lambda um, c: np.sqrt(1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b * um**2 / (um**2 - a**2))),
+        range(1, 18),
+    ),
+    # Sellmeier, with resonances in µm².
+    "2": (lambda um, c: np.sqrt(1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b * um**2 / (um**2 - a))), range(1, 18)),
+    # Polynomial.
+    "3": (lambda um, c: np.sqrt(c[0] + _pair_sum(c, 1, lambda b, power: b * um**power)), range(1, 18)),
+    # The form of refractiveindex.info itself: two resonances and a polynomial.
+    "4": (
+        lambda um, c: np.sqrt(
+            c[0]
+            + sum(c[i] * um ** c[i + 1] / (um**2 - c[i + 2] ** c[i + 3]) for i in (1, 5) if c[i] != 0.0)
+            + _pair_sum(c, 9, lambda b, power: b * um**power)
+        ),
+        range(1, 18),
+    ),
+    # Cauchy.
+    "5": (lambda um, c: c[0] + _pair_sum(c, 1, lambda b, power: b * um**power), range(1, 12)),
+    # Gases.
+    "6": (lambda um, c: 1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b / (a - um**-2.0)), range(1, 12)),
+    "7": (_herzberger, range(1, 7)),
+    "8": (_retro, range(1, 5)),
+    # Exotic.
+    "9": (
+        lambda um, c: np.sqrt(c[0] + c[1] / (um**2 - c[2]) + c[3] * (um - c[4]) / ((um - c[4]) ** 2 + c[5])),
+        range(6, 7),
+    ),
 }
 
 
 def _csv(text: str) -> dict[str, Table]:
-    """Read a CSV file with columns of wavelength, n and perhaps k, or with one block for n and one for k."""
+    """Read a text file with columns of wavelength, n and perhaps k, or with one block for n and one for k."""
     tables: dict[str, Table] = {}
-    names, rows, scale = ["n", "k"], list[list[str]](), 1.0
+    names, rows, scale = list[str](), list[tuple[int, list[str]]](), 1.0
 
     def finish() -> None:
         if not rows:
             return
-        values = _rows(rows, min(1 + len(names), *map(len, rows)))
-        for column, name in enumerate(names[: values.shape[1] - 1]):
+        columns = names or ["n", "k"][: max(len(rows[0][1]) - 1, 1)]
+        values = _rows(rows, ["wavelength", *columns])
+        for column, name in enumerate(columns):
             tables[name] = _ordered(scale * values[:, 0], values[:, 1 + column])
         rows.clear()
 
-    for line in text.split("\n"):
-        cells = [cell.strip() for cell in re.split(r"[,;\t]", line)]
-        if not any(cells) or cells[0].startswith("#"):
+    for number, line in enumerate(text.split("\n"), start=1):
+        cells = [cell.strip() for cell in (re.split(r"[,;\t]", line) if re.search(r"[,;\t]", line) else line.split())]
+        while cells and not cells[-1]:
+            cells.pop()
+        if not cells or cells[0].startswith("#"):
             continue
-        if _number(cells[0]) is None:
+        if all(_number(cell) is None for cell in cells):
             finish()
-            names = [cell.lower() for cell in cells[1:]]
+            # A unit in brackets may be a word of its own.
+            names = [cell.lower() for cell in cells[1:] if not cell.startswith(("[", "("))]
             if not set(names) <= {"n", "k"} or not names:
-                raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r}")
-            scale = 1e-3 if "nm" in cells[0].lower() else 1.0
+                raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r} in line {number}")
+            scale = 1.0 / NM_PER_UM if "nm" in line.lower() else 1.0
         else:
-            rows.append(cells)
+            rows.append((number, cells))
     finish()
     return tables
 
 
 def _number(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None
+    return float(cell) if _NUMBER.fullmatch(cell) else None
 
 
-def _rows(lines: list[list[str]], columns: int) -> NDArray[np.float64]:
-    """Return the lines that begin with ``columns`` numbers, as an array."""
+def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
+    """Return lines of numbers, one for each column, as an array; refuse all others with the number of their line."""
     rows = []
-    for cells in lines:
-        numbers = [_number(cell) for cell in cells[:columns]]
-        if len(numbers) == columns and None not in numbers:
-            rows.append(numbers)
-    if not rows or columns < 2:
+    for line, cells in lines:
+        numbers = [_number(cell) for cell in cells]
+        if len(numbers) != len(columns) or None in numbers:
+            raise ValueError(
+                f"line {line} must have {len(columns)} numbers ({', '.join(columns)}), got {' '.join(cells)!r:.60}"
+            )
+        rows.append(numbers)
+    if not rows:
         raise ValueError("the file has no line with a wavelength and an index of refraction")
     values = np.array(rows, dtype=np.float64)
     if not np.all(np.isfinite(values)):
-        raise ValueError("all numbers must be finite")
+        bad = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+        raise ValueError(f"all numbers must be finite, got {' '.join(lines[bad][1])!r} in line {lines[bad][0]}")
     return values
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """Return a table sorted by wavelength, without duplicates."""
-    wavelengths, first = np.unique(um, return_index=True)
-    return wavelengths, values[first]
+    """Return a table sorted by wavelength; rows of the same wavelength count by their mean."""
+    wavelengths, place, count = np.unique(um, return_inverse=True, return_counts=True)
+    return wavelengths, np.asarray(np.bincount(place, values) / count)

@@ -39,10 +39,11 @@ def colour_science() -> Any:
 class Spectrum:
     """Relative spectral power distribution for ``illuminant=``, interpolated linearly.
 
-    Two spectra are equal if their numbers are equal.
+    Two spectra are equal if their numbers are equal. Lines narrower than 1 nm keep their power in colours. Wavelengths
+    outside 380 to 780 nm are kept, and have no effect on colours.
 
     Attributes:
-        wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, shape (m,), m > 1.
+        wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, at any distances, shape (m,), m > 1.
         values: Relative powers, at least 0, shape (m,).
         name: Name in messages and ``print``.
 
@@ -73,10 +74,11 @@ class Spectrum:
             raise ArgumentValueError(
                 f"{ref('wavelengths_nm')} must cover 380 to 780 nm, got {wavelengths[0]:g} to {wavelengths[-1]:g} nm"
             )
-        visible = np.interp(np.arange(380.0, 781.0), wavelengths, values)
         if values.min() < 0.0:
             raise ArgumentValueError(f"{ref('values')} must not be negative, got {values.min():g}")
-        if (brightest := visible[20:-80].max()) <= validation.LEAST:
+        inside = (wavelengths >= 400.0) & (wavelengths <= 700.0)
+        visible = np.interp(np.concatenate([np.arange(400.0, 701.0), wavelengths[inside]]), wavelengths, values)
+        if (brightest := visible.max()) <= validation.LEAST:
             raise ArgumentValueError(
                 f"{ref('values')} must exceed {validation.LEAST:g} between 400 and 700 nm, got {brightest:g} at most"
             )

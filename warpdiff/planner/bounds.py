@@ -14,7 +14,7 @@ import numpy as np
 
 from warpdiff.core.validation import MOST
 from warpdiff.diffraction.phase_series import EXPANSIONS
-from warpdiff.heightfield import diagnostics
+from warpdiff.heightfield.theory_verdict import theory_wavelength_nm, verdict_on
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM, NM_PER_UM
 from warpdiff.planner import cost_model, trial
 from warpdiff.request.plan import AUTOMATIC, Plan
@@ -75,6 +75,10 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
+    theory = verdict_on(
+        heightfield, theory_wavelength_nm(direction_range.lambda_min_nm, direction_range.lambda_max_nm),
+        conserves=request.conserves_energy,
+    )  # fmt: skip
     plan = Plan(
         method="direct" if method == "direct" else series, coherence=coherence, tolerance=tolerance, terms=terms,
         least_weight=tolerance * _WEIGHT_MARGINS[coherence.adds_powers], wavelengths=0, subdivisions=1,
@@ -87,8 +91,8 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
         neighbourhood=0.0 if coherence.kind == "replicas" else _TYPICAL_SHARE * tolerance,
         quadrature=_TYPICAL_SHARE * tolerance if colour else 0.0,
         rounding=float(np.finfo(np.float32).eps) / 2.0 * expansion.growth(argument), aliasing=0.0,
-        scalar_error=diagnostics.scalar_error_bound(heightfield.rms_um, heightfield.mean_slope), multiply_adds=0.0,
-        is_measured=False, validation_size=0, table_multiply_adds=0.0,
+        scalar_error=theory.error, scalar_reason=theory.reason, multiply_adds=0.0, is_measured=False, validation_size=0,
+        table_multiply_adds=0.0,
     )  # fmt: skip
     if colour:
         plan = _with_wavelengths(plan)

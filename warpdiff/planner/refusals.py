@@ -137,14 +137,18 @@ def table_too_large(tolerance: float) -> ToleranceError:
     )
 
 
-def warn_of_scalar_error(heightfield: HeightField, plan: Plan) -> None:
-    """Warn of a surface for which scalar diffraction is invalid."""
-    if plan.scalar_error >= diagnostics.SCALAR_INVALID:
-        warn(
-            f"scalar diffraction is {diagnostics.scalar_error_text(plan.scalar_error)}; {ref('heightfield')} has "
-            f"a standard deviation of {heightfield.rms_um:.3g} µm and a mean slope of {heightfield.mean_slope:.3g}: "
-            "use a rigorous solver, or interpret the colours only qualitatively"
-        )
+def warn_of_theory(plan: Plan) -> None:
+    """Warn of a surface on which scalar diffraction is invalid."""
+    if plan.theory.grade == "invalid":
+        warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
+
+
+def warn_of_darkness() -> None:
+    """Warn of a call whose results are all 0."""
+    warn(
+        f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
+        "directions are vectors away from the surface, in its frame with z along the normal"
+    )
 
 
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:

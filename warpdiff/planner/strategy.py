@@ -91,9 +91,7 @@ def plan(
     request = Evaluation.of(heightfield, PlanSettings(**settings), illuminants=(illuminant,))
     with memory.as_memory_error("plan()", f"use a larger {ref('tolerance')}, or a smaller {ref('heightfield')}"):
         direction_range, sample, count = directions_of(request, to_light, to_view)
-        result = plan_for(request, direction_range, sample, count)
-    refusals.warn_of_scalar_error(heightfield, result)
-    return result
+        return plan_for(request, direction_range, sample, count)
 
 
 def directions_of(
@@ -113,6 +111,8 @@ def directions_of(
         views = hemisphere_views if to_view is None else _repeated(to_view, "to_view")
     count = float(len(lights)) if to_light is not None and to_view is not None else math.inf
     scattering_vectors, illuminated = -lights - views, (lights[:, 2] > 0.0) & (views[:, 2] > 0.0)
+    if len(lights) and not illuminated.any():
+        refusals.warn_of_darkness()
     direction_range = DirectionRange.of(heightfield, coherence, scattering_vectors, lights, illuminated)
     if to_light is None or to_view is None:
         known = views if to_light is None else lights
@@ -128,7 +128,7 @@ def directions_of(
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return known directions, selected or repeated, as many as a sample of the hemisphere has."""
-    checked, _ = validation.directions(directions, name)
+    checked, _ = validation.unit_directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
     some = checked[stratified(len(checked), MOST_SAMPLED)]
@@ -167,6 +167,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     upper = bounds.upper_bound_plan(request, direction_range, method=method, tolerance=tolerance)
     refusals.check_size(heightfield, upper)
     refusals.warn_of_aliasing(heightfield, upper, direction_range)
+    refusals.warn_of_theory(upper)
     if method == "direct":
         return upper
     if request.footprint and not _has_footprint_table(request):

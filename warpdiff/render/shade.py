@@ -95,6 +95,11 @@ def shade(
                 image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
             )
     warn_unconverged(image)
+    if image.mask.any() and not image.illuminated.any():
+        warn(
+            f"none of the {ref('lights')} illuminates a visible point of the mesh, so that all pixels are black: check "
+            f"{ref('to_light')}, which points from the surface towards the light, and {ref('view')}"
+        )
     return image
 
 

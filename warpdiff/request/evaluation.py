@@ -100,6 +100,15 @@ class Evaluation:
             wavelengths_nm=wavelengths_nm, footprint=footprint,
         )  # fmt: skip
 
+    @property
+    def conserves_energy(self) -> bool:
+        """Whether energy is normalised on surfaces that transmit no light."""
+        materials = self.materials.values()
+        opaque = all(
+            self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials
+        )
+        return self.energy == "normalised" and opaque
+
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
         """Factors by which normalised energy multiplies colours, or None for ``energy="stam"``."""

@@ -6,14 +6,14 @@ import html
 import json
 import sys
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from warpdiff.core import files, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.diffraction.coefficient_basis import METHODS as EXPANDED
 from warpdiff.diffraction.coefficient_basis import POWER_METHODS, holds_powers
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
-from warpdiff.heightfield import diagnostics
+from warpdiff.heightfield.theory_verdict import Reason, TheoryVerdict, theory_wavelength_nm
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import LONGEST_NM, SHORTEST_NM
 from warpdiff.request.directions import DirectionRange
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 # Format of saved plans; its number increases when a field changes its name or meaning.
-_FORMAT = "warpdiff plan 1"
+_FORMAT = "warpdiff plan 2"
 # Limit on the size of a file that is read as a plan [bytes]; plans have about 1 kB.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
@@ -93,8 +93,9 @@ class Plan:
         rounding: Predicted error of float32 arithmetic.
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
             directions, relative to their power. The aliasing is a property of the data and not part of ``error``.
-        scalar_error: Bound of the error of scalar diffraction at 550 nm, as a share of the reflected power. The bound
-            is a property of the surface and not part of ``error``.
+        scalar_error: Expected error of scalar diffraction at 550 nm, or at the nearest wavelength of a spectrum, as a
+            share of the reflected power. It is a property of the surface and not part of ``error``.
+        scalar_reason: Reason of that error: ``"steep"``, ``"deep"``, ``"narrow"``, ``"energy"`` or ``"undersampled"``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
             bounds.
@@ -138,6 +139,7 @@ class Plan:
     rounding: float
     aliasing: float
     scalar_error: float
+    scalar_reason: Reason
     multiply_adds: float
     is_measured: bool
     validation_size: int
@@ -177,6 +179,7 @@ class Plan:
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
             # Diverging series have arbitrarily large error bounds.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
+        validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))
         validation.flag(self.is_measured, "is_measured")
         validation.count(self.validation_size, "validation_size", least=0)
         bandwidth = validation.finite_array(self.bandwidth_um, "bandwidth_um", most=validation.MOST)
@@ -230,6 +233,12 @@ class Plan:
         return f"<pre>{html.escape(str(self))}</pre>"
 
     @property
+    def theory(self) -> TheoryVerdict:
+        """Verdict on scalar diffraction for the height field of the plan."""
+        wavelength_nm = theory_wavelength_nm(self.lambda_min_nm, self.lambda_max_nm)
+        return TheoryVerdict(self.scalar_error, self.scalar_reason, wavelength_nm)
+
+    @property
     def verdict(self) -> str:
         """Sentence that states whether the plan meets its tolerance, and how its error was estimated."""
         if self.method == "direct":
@@ -266,7 +275,7 @@ class Plan:
         rows["aliasing"] = (
             f"{self.aliasing:.1e} of the power of the steepest directions lies beyond the pitch's Nyquist limit"
         )
-        rows["scalar diffraction"] = diagnostics.scalar_error_text(self.scalar_error)
+        rows["scalar diffraction"] = str(self.theory)
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:

@@ -158,7 +158,7 @@ def light_sweep(
 
 def _great_circle(begin: NDArray[np.float64], to_light: Any) -> tuple[NDArray[np.float64], float]:
     """Return axis and angle [rad] of the shortest rotation from the direction ``begin`` to ``to_light``."""
-    end = validation.directions(validation.vector(to_light, "to_light"), "to_light")[0][0]
+    end = validation.unit_directions(validation.vector(to_light, "to_light"), "to_light")[0][0]
     axis = np.cross(begin, end)
     sine, cosine = float(np.linalg.norm(axis)), float(begin @ end)
     if sine >= _LEAST_SINE:

@@ -1,0 +1,186 @@
+"""Verdicts on scalar diffraction against rigorous solutions: how many gratings of each grade are wrong.
+
+::
+
+    python -m bench.reproduce.theory_verdict
+    python -m bench.reproduce.theory_verdict --rise
+
+The 748 gratings of ``bench/suite/rigorous.json`` are sines, square grooves and sawteeth of perfect mirrors and sines of
+glass. The error of a grating is that of its worst order for light from 0°, 30° and 60°, relative to the reflected power
+of a flat surface. Its verdict is the worst of the three calls, or the verdict of its heights alone. Every third period
+and every third depth was never used for fitting: gratings with one of them are held out.
+
+``--rise`` compares heights above the horizon at which an order takes part in the normalisation with its full weight.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+import warpdiff as wd
+from bench.suite.validity import CASES, GRATINGS, STORED, UNIT, flat_reflectance
+from warpdiff.diffraction import energy_normalisation
+from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
+
+# Error of an order from which a grating counts as wrong, a share of the reflected power.
+WRONG = 0.1
+# Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
+# gratings, and largest share of qualitative gratings.
+MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
+# Periods and depths with this remainder of their index by three are held out.
+HELD_OUT = 2
+# Number of height samples per period; no grating has more than 40 orders.
+SAMPLES = 512
+# Wavelength of all calls [nm]: lengths are in wavelengths, of 1 µm here.
+WAVELENGTH_NM = 1000.0
+# Cosines that ``--rise`` compares.
+RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
+
+
+class Grating(NamedTuple):
+    """A grating with its errors and verdicts.
+
+    Attributes:
+        is_held_out: Whether its period or its depth was never used for fitting.
+        error: Largest error of an order with the energy of a judgement.
+        of_calls: Error by the worst verdict of its calls.
+        of_heights: Error by the verdict of its heights alone.
+    """
+
+    is_held_out: bool
+    error: float
+    of_calls: float
+    of_heights: float
+
+
+class Shares(NamedTuple):
+    """Counts and shares of the grades; see ``MOST_WRONG`` and its neighbours for the targets."""
+
+    gratings: int
+    reliable: int
+    wrong_of_reliable: float
+    reliable_of_right: float
+    qualitative: float
+    wrong_of_invalid: float
+
+    @classmethod
+    def of(cls, errors: np.ndarray, verdicts: np.ndarray) -> Shares:
+        """Return the shares of gratings with some errors and verdicts."""
+        wrong, reliable, invalid = errors > WRONG, verdicts < QUALITATIVE, verdicts >= INVALID
+        return cls(
+            len(errors), int(reliable.sum()), _share(wrong[reliable]), _share(reliable[~wrong]),
+            _share(~reliable & ~invalid), _share(wrong[invalid]),
+        )  # fmt: skip
+
+    @property
+    def meets_targets(self) -> bool:
+        """Whether all three targets are met."""
+        return (
+            self.wrong_of_reliable <= MOST_WRONG
+            and self.reliable_of_right >= LEAST_RELIABLE
+            and self.qualitative <= MOST_QUALITATIVE
+        )
+
+
+def _share(values: np.ndarray) -> float:
+    """Share of the true values; 0 of none."""
+    return float(np.mean(values)) if len(values) else 0.0
+
+
+def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
+    """Return every ``step``-th grating of each profile; ``energy`` None is the default of `order_efficiencies`."""
+    stored, result = json.loads(STORED.read_text()), []
+    for case, (shape, index) in CASES.items():
+        rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
+        for i, period in enumerate(stored["periods"]):
+            for j, depth in enumerate(stored["depths"]):
+                of_angles = [next(rows) for _ in stored["angles_deg"]]
+                if (i * len(stored["depths"]) + j) % step:
+                    continue
+                heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
+                errors, verdicts = [], []
+                for angle, (first, *efficiencies) in zip(stored["angles_deg"], of_angles, strict=True):
+                    theta = math.radians(angle)
+                    orders = wd.order_efficiencies(
+                        heightfield, (math.sin(theta), 0.0, math.cos(theta)), WAVELENGTH_NM, ior=index or math.inf,
+                        energy=energy,
+                    )  # fmt: skip
+                    flat, ours = flat_reflectance(index, angle)
+                    scalar = np.array([orders[0, first + n][0] for n in range(len(efficiencies))]) / ours
+                    errors.append(np.max(np.abs(scalar - np.array(efficiencies) * UNIT / flat)))
+                    verdicts.append(orders.verdict.error)
+                conserves = energy != "stam" and index is None
+                alone = verdict_on(heightfield, WAVELENGTH_NM, conserves=conserves).error
+                is_held_out = HELD_OUT in (i % 3, j % 3)
+                result.append(Grating(is_held_out, float(max(errors)), max(verdicts), alone))
+    return result
+
+
+def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
+    """Return the shares by what was judged: verdicts of calls or of heights, and all, fitted or held-out gratings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wd.WarpdiffWarning)
+        population = gratings(energy, step=step)
+    is_held_out = np.array([grating.is_held_out for grating in population])
+    errors = np.array([grating.error for grating in population])
+    result = {}
+    for of, verdicts in (
+        ("calls", np.array([grating.of_calls for grating in population])),
+        ("heights", np.array([grating.of_heights for grating in population])),
+    ):
+        for part, mask in (("all", is_held_out | True), ("fitted", ~is_held_out), ("held out", is_held_out)):
+            result[f"{of}, {part}"] = Shares.of(errors[mask], verdicts[mask])
+    return result
+
+
+def mean_error_by_rise(cosine: float) -> float:
+    """Return the mean error of normalised mirrors that are not held out, for another height of the full weight."""
+    before = energy_normalisation.RISEN
+    energy_normalisation.RISEN = cosine
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", wd.WarpdiffWarning)
+            mirrors = gratings("normalised")[: -len(_glass_cells())]
+    finally:
+        energy_normalisation.RISEN = before
+    return float(np.mean([grating.error for grating in mirrors if not grating.is_held_out]))
+
+
+def _glass_cells() -> list[tuple[float, float]]:
+    """Periods and depths of the last case, which is glass."""
+    stored = json.loads(STORED.read_text())
+    return [(period, depth) for period in stored["periods"] for depth in stored["depths"]]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the shares; return 1 if a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rise", action="store_true", help="compare heights of the full weight above the horizon")
+    if parser.parse_args(arguments).rise:
+        for cosine in RISES:
+            print(f"full weight from a cosine of {cosine:g}: mean error {mean_error_by_rise(cosine):.4f}", flush=True)
+        return 0
+    missed = 0
+    print("| energy | verdict of | gratings | reliable | of them wrong | of right ones reliable | qualitative | "
+          "invalid ones wrong |\n" + 8 * "| --- " + "|")  # fmt: skip
+    for energy in (None, "stam"):
+        for name, shares in judged(energy).items():
+            missed += not shares.meets_targets
+            print(
+                f"| {energy or 'default'} | {name} | {shares.gratings} | {shares.reliable} | "
+                f"{shares.wrong_of_reliable:.1%} | {shares.reliable_of_right:.0%} | {shares.qualitative:.0%} | "
+                f"{shares.wrong_of_invalid:.0%} |{'' if shares.meets_targets else ' MISSED'}",
+                flush=True,
+            )
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""Directions of callers: vectors that look like angles in degrees."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.core import validation
+
+GRATING = wd.gratings.sinusoidal(2.0, 0.1)
+UP = (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "vector", [(0, 30, 60), (45.0, 0.0, 90.0), (-30, 0, 1), (10, 180, 0), [(0, 0, 1), (30, 45, 90)], (1, -360, 5)]
+)
+def test_vectors_that_look_like_degrees_are_warned_of(vector):
+    with pytest.warns(wd.WarpdiffWarning, match=r"to_view \(.*\) looks like angles in degrees, but it is a vector"):
+        directions, _ = validation.unit_directions(vector, "to_view")
+    np.testing.assert_allclose(directions, validation.directions(vector, "to_view")[0])
+
+
+@pytest.mark.parametrize(
+    "vector",
+    [UP, (0, 0, 90), (0.3, 0.1, 1.0), (3, 4, 12), (120.5, 30.0, 45.0), (0, 400, 100), (0, 5, 5), np.zeros((0, 3))],
+)
+def test_other_vectors_are_not_warned_of(vector):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        validation.unit_directions(vector, "to_light")
+
+
+@pytest.mark.parametrize("call", ["reflectance", "plan", "order_efficiencies", "reflectance_map", "DirectionalLight"])
+def test_calls_warn_of_degrees(call):
+    degrees = (30, 0, 60)
+    calls = {
+        "reflectance": lambda: wd.reflectance(GRATING, degrees, UP),
+        "plan": lambda: wd.plan(GRATING, degrees, UP),
+        "order_efficiencies": lambda: wd.order_efficiencies(GRATING, degrees, 550.0),
+        "reflectance_map": lambda: wd.reflectance_map(GRATING, degrees, size=8, tolerance=0.3),
+        "DirectionalLight": lambda: wd.DirectionalLight(degrees),
+    }
+    with pytest.warns(wd.WarpdiffWarning, match=r"to_light \(30, 0, 60\) looks like angles in degrees") as caught:
+        calls[call]()
+    assert len(caught) == 1
+
+
+def test_a_picture_that_no_light_reaches_is_warned_of():
+    disc, view = wd.meshes.disc(), wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), width=16, height=12)
+    with pytest.warns(wd.WarpdiffWarning, match="none of the lights illuminates a visible point of the mesh"):
+        image = wd.shade(disc, GRATING, wd.DirectionalLight((0.0, -0.3, -1.0)), view, tolerance=0.3, pigment=0.0)
+    assert image.mask.any()
+    assert not image.xyz.any()

@@ -1,0 +1,308 @@
+"""Verdict on scalar diffraction: how wrong the efficiency of an order may be on a height field, and why.
+
+Each reason alone estimates the error, and the largest estimate is the verdict:
+
+- steep: 0.22 times the root mean square slope, with frequencies above 1/λ counted as 1/λ.
+- deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope.
+- narrow: the share of the light that features narrower than two wavelengths diffract, at |w| = 1, divided by 0.7.
+- energy: 1.1 times the deviation of the sum over orders from that of a flat surface, for Stam's efficiencies; 0.4 times
+  it where they are normalised. Without a direction to the light, the largest of normal incidence, 30° and 60° counts.
+- undersampled: twice the share of the relief in runs of samples between which the phase changes by half a cycle.
+
+The first four were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are no bounds.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from warpdiff.core.threads import single_threaded_blas
+from warpdiff.optics.reflectance_factors import schlick
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+
+Reason = Literal["steep", "deep", "narrow", "energy", "undersampled"]
+Grade = Literal["reliable", "qualitative", "invalid"]
+
+# Wavelength of verdicts on a height field alone [nm]: green, the middle of the visible range.
+WAVELENGTH_NM = 550.0
+# Error from which a verdict is qualitative. Limit: a tenth of the reflected power. If doubled, more gratings are graded
+# reliable than are.
+QUALITATIVE = 0.1
+# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order that is wrong by more than a tenth
+# of the reflected power. If halved, shallow patterns of two wavelengths are invalid.
+INVALID = 0.9
+# Errors per unit of each reason. Fitted: bench/reproduce/theory_verdict.py, on two thirds of the periods and depths.
+_PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
+# Error per share of the relief that is undersampled. Limit: half of a relief makes results meaningless.
+_PER_UNDERSAMPLED = 2.0
+# Frequency times wavelength from which features count as narrow: features of two wavelengths. Fitted, see above.
+_NARROW = 0.5
+# Number of wavelengths whose estimates are cached for a field. Limit: a spectrum evaluates three.
+_MOST_CACHED = 16
+# Largest number of samples of a profile, and along an axis of a field, that a verdict is computed from. Limit: 30 ms.
+_MOST_OF_PROFILE, _MOST_OF_FIELD = 4096, 192
+# Number of samples per wavelength to which fields are thinned before they are cut. If halved, orders at the horizon
+# alias.
+_PER_WAVELENGTH = 8.0
+# Angles of incidence at which orders are summed [degrees]: those of the rigorous solutions.
+_ANGLES_DEG = (0.0, 30.0, 60.0)
+# Height range in wavelengths above which orders are not summed, because it takes too many transforms. Limit: 30 ms.
+_MOST_RANGE = 6.0
+# Least cosine of an order that is summed: 5.7° above the horizon. Limit: the sum for a few lights must not depend on an
+# order that happens to be near the horizon, where its efficiency diverges.
+_LEAST_COSINE = 0.1
+# Reflectance at normal incidence of a perfect mirror and of glass (n = 1.5), whose orders are summed. The reflectance
+# of glass changes from order to order.
+_MIRROR, _GLASS = 1.0, 0.04
+
+_estimates: weakref.WeakKeyDictionary[HeightField, dict[float, _Estimates]] = weakref.WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class TheoryVerdict:
+    """Verdict on scalar diffraction for a height field; ``print`` shows it as a sentence.
+
+    Attributes:
+        error: Expected error of the efficiency of an order, as a share of the power that a flat surface reflects.
+            Against rigorous solutions, 19 of 20 gratings had at most twice this error.
+        reason: Reason with the largest error: ``"steep"`` or ``"deep"`` relief, ``"narrow"`` features, orders whose
+            ``"energy"`` is not that of a flat surface, or heights ``"undersampled"`` for their phase.
+        wavelength_nm: Wavelength [nm].
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> print(wd.gratings.sinusoidal(period_um=5.0, depth_um=0.1).summary().verdict)
+        reliable at 550 nm: orders may be wrong by ... % of the reflected power
+        >>> wd.gratings.lamellar(period_um=1.0, depth_um=0.5).summary().verdict.grade
+        'invalid'
+    """
+
+    error: float
+    reason: Reason
+    wavelength_nm: float = WAVELENGTH_NM
+
+    @property
+    def grade(self) -> Grade:
+        """``"reliable"``: use colours and numbers. ``"qualitative"``: use positions. ``"invalid"``: use nothing."""
+        return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
+
+    @property
+    def remedy(self) -> str:
+        """Advice for the reason."""
+        if self.reason == "undersampled":
+            return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
+        energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
+        return f"use positions of colours, not their brightness; or use {energy}a rigorous solver"
+
+    def __str__(self) -> str:
+        percent = float(f"{100.0 * min(self.error, 1.0):.2g}")
+        text = (
+            f"{self.grade} at {self.wavelength_nm:.4g} nm: orders may be wrong by {percent:g} % of the reflected power"
+        )
+        return text if self.grade == "reliable" else f"{text}, because {_REASONS[self.reason]}"
+
+
+# Reasons in words.
+_REASONS: dict[Reason, str] = {
+    "steep": "the relief is steep",
+    "deep": "the relief is deep",
+    "narrow": "features are narrower than two wavelengths",
+    "energy": "the orders do not sum to the reflected power",
+    "undersampled": "the phase changes by more than half a cycle between samples",
+}
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """Errors of a height field at a wavelength by their reason, and deviations from 1 of the sums over its orders."""
+
+    errors: dict[Reason, float]
+    of_mirror: float
+    of_glass: float
+
+
+def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
+    """Wavelength of the verdict on calls in a range of wavelengths [nm]: 550, or the nearest end of the range."""
+    return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
+
+
+def verdict_on(
+    heightfield: HeightField, wavelength_nm: float = WAVELENGTH_NM, *, conserves: bool = False,
+    energy_sum: float | None = None,
+) -> TheoryVerdict:  # fmt: skip
+    """Return the verdict on a height field, whose estimates are cached.
+
+    Args:
+        heightfield: Height field; missing samples count as the mean height.
+        wavelength_nm: Wavelength [nm].
+        conserves: Whether efficiencies are normalised, and the surface transmits no light.
+        energy_sum: Sum of Stam's efficiencies over the orders of a call, relative to the reflectance of a flat surface;
+            None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
+    """
+    estimates = _estimates_of(heightfield, wavelength_nm)
+    errors = dict(estimates.errors)
+    if energy_sum is not None:
+        deviation = abs(energy_sum - 1.0)
+    else:
+        deviation = estimates.of_mirror if conserves else max(estimates.of_mirror, estimates.of_glass)
+    errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
+    reason = max(errors, key=errors.__getitem__)
+    if reason == "deep" and errors["steep"] >= QUALITATIVE:
+        # The estimate of deep relief is proportional to the slope as well.
+        reason = "steep"
+    if errors["undersampled"] >= INVALID:
+        # The other estimates are computed from the same samples.
+        reason = "undersampled"
+    return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
+
+
+@single_threaded_blas()
+@np.errstate(under="ignore")
+def _estimates_of(heightfield: HeightField, wavelength_nm: float) -> _Estimates:
+    """Return the estimates for a height field, from a cache."""
+    cached = _estimates.setdefault(heightfield, {})
+    if wavelength_nm not in cached:
+        if len(cached) >= _MOST_CACHED:
+            cached.clear()
+        cached[wavelength_nm] = _estimated(heightfield, 1e-3 * wavelength_nm)
+    return cached[wavelength_nm]
+
+
+def _estimated(heightfield: HeightField, wavelength_um: float) -> _Estimates:
+    if heightfield.height_range_um == 0.0:
+        return _Estimates({"steep": 0.0, "deep": 0.0, "narrow": 0.0, "undersampled": 0.0}, 0.0, 0.0)
+    heights, pitch_um, window = _part(heightfield, wavelength_um)
+    axes = (np.fft.fftfreq(n, pitch) for n, pitch in zip(heights.shape, pitch_um, strict=True))
+    v, u = (wavelength_um * frequency for frequency in np.meshgrid(*axes, indexing="ij"))
+    radius = np.hypot(u, v)
+    scale = heights.size * float(np.sum(window**2))
+    power = np.abs(np.fft.fft2(window * (heights - np.average(heights, weights=window)))) ** 2
+    slope = 2.0 * math.pi / wavelength_um * math.sqrt(float(np.sum(power * np.minimum(radius, 1.0) ** 2)) / scale)
+    light = np.abs(np.fft.fft2(window * np.exp(2j * math.pi / wavelength_um * heights))) ** 2 / scale
+    errors: dict[Reason, float] = {
+        "steep": _PER_SLOPE * slope,
+        "deep": _PER_DEPTH * _lost_power(heightfield, wavelength_um),
+        "narrow": _PER_NARROW_SHARE * float(np.sum(light[radius > _NARROW])),
+        "undersampled": _PER_UNDERSAMPLED * _undersampled_share(heightfield, wavelength_um),
+    }
+    deviations = (0.0, 0.0)
+    if np.ptp(heights) <= _MOST_RANGE * wavelength_um:
+        reachable = radius <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
+        orders = np.stack([u[reachable], v[reachable]], axis=1)
+        deviations = _energy_deviations(heights / wavelength_um, window, orders, reachable)
+    return _Estimates(errors, *deviations)
+
+
+def _part(
+    heightfield: HeightField, wavelength_um: float
+) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
+    """Heights of the middle of a field, thinned where the pitch is much finer than the wavelength.
+
+    The pitch of the part [µm] and a window follow, which falls to 0 at the edges along an axis that was cut.
+    """
+    most = _MOST_OF_PROFILE if 1 in heightfield.shape else _MOST_OF_FIELD
+    steps, parts, fades = [], [], []
+    for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True):
+        finest = max(int(wavelength_um / (_PER_WAVELENGTH * pitch)), 1)
+        # A field is not thinned by more than it takes, and a period not by a step that does not divide it.
+        step = next(step for step in range(min(finest, -(-n // most)), 0, -1) if n % step == 0 or n > step * most)
+        count = min(n // step, most)
+        first = (n - count * step) // 2
+        steps.append(step)
+        parts.append(slice(first, first + count * step, step))
+        fades.append(np.ones(count) if count * step == n else np.hanning(count + 2)[1:-1])
+    part = heightfield.heights_um[parts[0], parts[1]]
+    if np.isnan(part).any():
+        part = np.where(np.isnan(part), np.nanmean(heightfield.heights_um), part)
+    dy, dx = heightfield.pitch_um
+    return part, (dy * steps[0], dx * steps[1]), np.outer(*fades)
+
+
+def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
+    """(4πs/λ)² min(1, λ/P): power that leaves the zeroth order, as far as no other order takes it up."""
+    rms = heightfield.rms_um / wavelength_um
+    if rms == 0.0:
+        return 0.0
+    return (4.0 * math.pi * rms) ** 2 * min(1.0, heightfield.mean_slope / (4.0 * math.sqrt(2.0) * rms))
+
+
+def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
+    """Share of the relief in two steps in a row, in one direction, over which the phase changes by half a cycle each.
+
+    A single such step is a wall, which its two samples represent.
+    """
+    worst = 0.0
+    limit = wavelength_um / 4.0
+    if heightfield.height_range_um <= 2.0 * limit:
+        return worst
+    heights = heightfield.heights_um[: _MOST_OF_FIELD if heightfield.shape[1] > 1 else None, :_MOST_OF_PROFILE]
+    for axis in (0, 1):
+        steps = np.nan_to_num(np.diff(heights, axis=axis))
+        total = float(np.sum(np.abs(steps)))
+        if steps.shape[axis] < 2 or total == 0.0:
+            continue
+        first, second = (np.take(steps, range(k, steps.shape[axis] - 1 + k), axis) for k in (0, 1))
+        in_row = (np.minimum(np.abs(first), np.abs(second)) > limit) & (first * second > 0.0)
+        worst = max(worst, float(np.sum(np.abs(first[in_row]))) / total)
+    return worst
+
+
+def _energy_deviations(
+    heights: NDArray[np.float64], window: NDArray[np.float64], orders: NDArray[np.float64], reachable: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Largest deviations from 1 of the sums of Stam's efficiencies over some lights: of a mirror, and of glass.
+
+    Args:
+        heights: Heights in wavelengths, shape (ny, nx).
+        window: Weights of the heights, the same shape.
+        orders: Pairs (u, v) of the orders that some light reaches, shape (n, 2).
+        reachable: Mask of these orders among all frequencies, shape (ny, nx).
+    """
+    # Each order has a κ of its own; its amplitude is interpolated between those of few κ by Chebyshev polynomials.
+    low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
+    argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
+    count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4
+    nodes = np.cos(math.pi * (np.arange(count) + 0.5) / count)
+    centred = heights - (heights.max() + heights.min()) / 2.0
+    scale = math.sqrt(heights.size * float(np.sum(window**2)))
+    kappas = (high + low) / 2.0 + (high - low) / 2.0 * nodes
+    amplitudes = [np.fft.fft2(window * np.exp(2j * math.pi * kappa * centred))[reachable] / scale for kappa in kappas]
+    chebvander = np.polynomial.chebyshev.chebvander
+    coefficients = np.linalg.solve(chebvander(nodes, count - 1), np.stack(amplitudes))
+    worst = [0.0, 0.0]
+    for light in _lights(heights.shape):
+        tangential = orders - light[:2]
+        upward = 1.0 - np.sum(tangential**2, axis=1)
+        live = upward > _LEAST_COSINE**2
+        cosines = np.sqrt(upward[live])
+        w = light[2] + cosines
+        polynomials = chebvander((2.0 * w - high - low) / (high - low), count - 1)
+        powers = np.abs(np.einsum("nk,kn->n", polynomials, coefficients[:, live])) ** 2
+        overlap = 1.0 + light[2] * cosines + tangential[live] @ light[:2]
+        efficiencies = powers * overlap**2 / (light[2] * cosines * w**2)
+        for place, normal in enumerate((_MIRROR, _GLASS)):
+            reflectances = schlick(np.sqrt(overlap / 2.0), normal) / schlick(light[2], normal)
+            worst[place] = max(worst[place], abs(float(efficiencies @ reflectances) - 1.0))
+    return worst[0], worst[1]
+
+
+def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
+    """Directions to the light at which orders are summed, on both sides along each axis of several samples."""
+    lights = []
+    for angle in np.radians(_ANGLES_DEG):
+        for axis in (0, 1):
+            if shape[1 - axis] > 1:
+                for sign in (1.0, -1.0) if angle > 0.0 else (1.0,):
+                    light = np.array([0.0, 0.0, math.cos(angle)])
+                    light[axis] = sign * math.sin(angle)
+                    lights.append(light)
+    return lights
