@@ -175,8 +175,8 @@ def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool
     if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
         first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])
         warn(
-            f"{ref(name)} ({first}) looks like angles in degrees, but it is a vector (x, y, z): for θ from the normal and "
-            "φ around it, it is (sin θ cos φ, sin θ sin φ, cos θ)"
+            f"{ref(name)} ({first}) looks like angles in degrees, but it is a vector (x, y, z): for θ from the normal "
+            "and φ around it, it is (sin θ cos φ, sin θ sin φ, cos θ)"
         )
     return result
 

@@ -61,7 +61,8 @@ def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
     if rings == plan.rings_per_octave:
         return lookup
     smaller = replace(plan, rings_per_octave=rings, azimuths_per_width=azimuths)
-    return lookup.derived.get_or_make(smaller, lambda: lookup.copy_with(smaller))
+    result: ColourLookup = lookup.derived.get_or_make(smaller, lambda: lookup.copy_with(smaller))
+    return result
 
 
 def distribution_for(
