@@ -17,7 +17,7 @@ def test_sample_bodies_are_cached_on_disk(tmp_path, monkeypatch):
     first = page_bodies.surface_of(call, None)
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
-    # Rendering threads of other tests may still create meshes, so only the tested mesh must not be created again.
+    # Rendering threads of other tests may call ``Call.make`` for other meshes, so it fails only for the cached one.
     monkeypatch.setattr(
         Call, "make", lambda other: pytest.fail("the cache is not used") if other is call else make(other)
     )
