@@ -10,9 +10,9 @@ wheel of another version, it writes the arrays of that version. ``public_names``
 version 0.1.0.
 
 The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, views and files, with one
-thread and with two. The values of a case include the numbers of its plan. Of texts, only names are compared. Surfaces
-are small and synthetic. Other processors or other versions of libraries may round differently. Write and compare the
-arrays on the same machine, in environments with the same versions of all libraries.
+thread and with two. The values of a case include the numbers of its plan. Texts are not compared, except names.
+Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write and
+compare the arrays on the same machine, in environments with the same versions of all libraries.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def coated_metal() -> Any:
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# Functions that return the values of results of the package, by name.
+# Functions that collect the values to compare from a result of the package, by name.
 
 
 def image_values(image: Any) -> Values:
@@ -167,7 +167,7 @@ def plan_values(plan: Any, report: Any = None) -> Values:
 
 
 def named(prefix: str, values: Values) -> Values:
-    """Return the same values with a prefix added to their names."""
+    """Return values by name, with a prefix added to each name."""
     return {f"{prefix}.{name}": value for name, value in values.items()}
 
 
@@ -218,25 +218,25 @@ def _numbers_in(value: Any) -> list[float]:
     return [float(value)] if isinstance(value, (int, float)) else []
 
 
-# Cases that draw pictures.
+# Test cases that draw pictures.
 
 
 def picture(
     body: Callable[[], Any], surface: Callable[[], Any], view: Any, lights: Any = ABOVE, **options: Any
 ) -> Case:
-    """Return a case that renders a body with a height field."""
+    """Return a test case that renders a body with a height field."""
     return lambda threads: image_values(
         wd.shade(body(), lights=lights, heightfield=surface(), view=view, threads=threads, **options)
     )
 
 
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
-    """Return a case that renders the tube with the height field of fingers."""
+    """Return a test case that renders the tube with the height field of fingers."""
     return picture(tube, fingers, view or tube_view(), lights, **options)
 
 
 def sampled_picture(method: str) -> Case:
-    """Return a case that renders a small picture of the tube by integration over sampled wavelengths."""
+    """Return a test case that renders a small picture of the tube by integration over sampled wavelengths."""
     return tube_picture(
         method=method, integration="sampled", refine=False, footprint=False, view=tube_view(**SMALL), tolerance=3e-2
     )
@@ -293,11 +293,11 @@ def resized_renderer(threads: int) -> Values:
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 
 
-# Cases with environment lights.
+# Test cases with environment lights.
 
 
 def sky_picture(*, with_sun: bool, **options: Any) -> Case:
-    """Return a case that renders the tube under a sky, with the sky as background."""
+    """Return a test case that renders the tube under a sky, with the sky as background."""
 
     def draw(threads: int) -> Values:
         sky = wd.Environment(radiances(with_sun=with_sun), rotation_deg=30.0, scale=0.7, directions=100)
@@ -323,7 +323,7 @@ def loaded_sky(threads: int) -> Values:
     return image_values(wd.shade(box(), fingers(), sky, view, tolerance=0.3, refine=False, threads=threads))
 
 
-# Cases with materials and with normalised energy.
+# Test cases with materials and with normalised energy.
 
 
 def materials_by_geometry(threads: int) -> Values:
@@ -351,11 +351,11 @@ def normalised_energy(threads: int) -> Values:
     }
 
 
-# Cases that compute colours or spectra of arrays of directions.
+# Test cases that compute colours or spectra of arrays of directions.
 
 
 def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
-    """Return a case that computes the colours of ``count`` random directions."""
+    """Return a test case that computes the colours of ``count`` random directions."""
     return lambda threads: {
         "xyz": wd.reflectance(
             heightfield=fingers(), to_light=directions(count)[0], to_view=directions(count)[1], coherence=coherence,
@@ -420,7 +420,7 @@ def material_colours(threads: int) -> Values:
     }
 
 
-# Cases of height fields: cleaning, periods and files.
+# Test cases that process height fields: cleaning, periods and files.
 
 
 def surfaces(_: int) -> Values:
@@ -480,7 +480,7 @@ def height_files(_: int) -> Values:
     return values
 
 
-# Cases that write and read files: meshes, pictures, baked tables, web pages and sequences.
+# Test cases that write and read files: meshes, pictures, baked tables, web pages and sequences.
 
 
 def mesh_files(threads: int) -> Values:
@@ -646,7 +646,7 @@ CASES: dict[str, Case] = {
     "many directions": direction_colours(40_000, wd.Coherence(), illuminant="FL2", tolerance=3e-2),
     "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2), "spectra": spectra,
     "maps": maps, "surfaces": surfaces,
-    # The following cases use features that version 0.1 lacks.
+    # The following test cases use features that version 0.1 lacks.
     "explicit plan": explicit_plan, "previews": previews, "resized renderer": resized_renderer,
     "point light": picture(
         two_geometries, fingers, tube_view(), [wd.PointLight((1.2, 1.4, 0.4), power=2.0, illuminant="FL2"), SIDE],
@@ -675,11 +675,11 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-# Functions that write the values of all cases and compare them.
+# Functions that write the values of all test cases and compare them.
 
 
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Compute all values of the named cases.
+    """Compute all values of the named test cases.
 
     Keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
     depend on the number of threads.

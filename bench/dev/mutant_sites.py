@@ -34,7 +34,7 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls are never changed: calls that make messages, names in messages or types, and compiler options.
+# Functions whose calls are never changed: they make messages, names for messages, types, or options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
 # File that lists the faults of headers. Each line is "header: text". The text contains «old|new», and with old in its
@@ -68,7 +68,7 @@ class Mutant:
     identity: str
 
     def apply(self, source: bytes) -> bytes:
-        """Return the source with this change, for the unchanged source of the file."""
+        """Apply the change to the unchanged source of the file, and return the result."""
         return source[: self.begin] + self.new.encode() + source[self.begin + len(self.old.encode()) :]
 
 

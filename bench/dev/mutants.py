@@ -43,8 +43,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # Test folders and files that mutation testing uses. Tests of interfaces, files and signals are excluded.
 TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
-# `PATIENCE` is the time limit for the tests of a change, relative to their usual time limit. `COMPILE_S` is additional
-# time [s] to compile kernels. Limit: tests that exceed both count as timed out.
+# `PATIENCE` is the ratio of the time limit for the tests of a change to the largest total time of these tests without
+# the change. `COMPILE_S` is additional time [s] to compile kernels. Limit: tests that exceed both count as timed out.
 PATIENCE, COMPILE_S = 4.0, 60.0
 # Largest address space of a test process [bytes]. Limit: a changed array size could otherwise exhaust the memory.
 MEMORY = 12 << 30
@@ -105,7 +105,8 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
     log = os.open(f"{tree}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(log, 1)
     os.dup2(log, 2)
-    # Modules of ``bench`` are removed from memory, because the copy has its own versions of them.
+    # Modules of ``bench`` are removed from memory, because the exported copy of the commit has its own versions of
+    # them.
     for name in [name for name in sys.modules if name.partition(".")[0] == "bench"]:
         del sys.modules[name]
     sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]

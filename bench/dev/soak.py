@@ -40,7 +40,7 @@ def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
     result: dict[str, Row] = defaultdict(lambda: Row(0, 0, 0))
     for case in cases:
         properties = {entry.get("name"): entry.get("value", "") for entry in case.iter("property")}
-        # A test file that is skipped because a package is missing states no row.
+        # A test file that is skipped because a package is missing names no row, and is not counted.
         if "row" not in properties:
             continue
         row = result[properties["row"]]

@@ -192,7 +192,7 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """Return a function that evaluates a plan. The tables of the plan are made before."""
+        """Make the tables of a plan, and return a function that computes the colours of the directions by this plan."""
         heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
@@ -210,23 +210,23 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the relative error of each direction by a plan."""
+        """Return the relative error of each direction's colour by a plan."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """Return the larger of the P99 of bright and of dim directions. The errors have the shape (..., n)."""
+        """Return the larger P99 of errors (..., n): that of bright directions, or that of dim ones."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Return the larger of the P99 of bright and of dim directions, as computed by a plan."""
+        """Compute colours by a plan, and return the larger P99 of their errors: of bright or of dim directions."""
         return float(self.worst(self.errors(plan)))
 
 
 class Bandwidths:
-    """Numbers of wavelengths for each direction, by many assignments, and the mean number of each assignment."""
+    """Assignments of a number of wavelengths to each direction, and the mean number of each assignment."""
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)

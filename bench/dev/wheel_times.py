@@ -45,7 +45,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
 # Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
-# Target of the total time [s] of one wheel's calls per row and round, and limits of their number.
+# Target of the total time [s] of one wheel's calls per row and round, and limits of the number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000

@@ -29,8 +29,8 @@ SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
 # Seed of the random positions of crops, and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the plans for point samples, and of the reference before its own factor. Derived: half of the smallest
-# tolerance of the refined frames.
+# Tolerance of the plans for point samples. The reference has a third of it. Derived: half of the smallest tolerance of
+# the refined frames.
 TABLE = 1e-2
 
 
@@ -131,7 +131,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return, for each body, time and P99 error of the most point samples, relative to frames refined to 0.1."""
+    """Return, for each body, time and P99 error with the most point samples, relative to frames refined to 0.1."""
     texts = []
     for body, by_method in results.items():
         ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]

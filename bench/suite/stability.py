@@ -222,7 +222,7 @@ def order_rate(which: slice = ALL) -> Panel:
     """Return the panel of the distance from the mirror direction.
 
     Fixed wavelengths are too coarse far from the mirror direction. The method with one wavelength per Fourier
-    coefficient fails near it, where coefficients change little over the visible range.
+    coefficient fails near it, where one coefficient dominates at all visible wavelengths.
     """
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
     heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()

@@ -56,8 +56,8 @@ LIMIT = 0.1
 # Errors at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
 DENSE = np.geomspace(1e-3, 3.0, 400)
-# Wavelength [nm] at which the solver is called. Periods and depths are relative to it. Limit: the wavelength range of
-# the material files below.
+# Wavelength [nm] at which the solver is called. Periods and depths are relative to it. Limit: it must be in the range
+# of the material files that ``Integral`` writes.
 WAVELENGTH_NM = 500.0
 
 

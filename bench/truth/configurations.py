@@ -39,7 +39,7 @@ FEW = 4096
 # Largest number of directions of a call. Limit: computing time.
 MOST = 262_144
 # Largest numbers of directions of calls that sample wavelengths instead of using a table, and of calls with replicas.
-# Limit: computing time, because a direction then takes at least 0.1 ms.
+# Limit: computing time, because each of these directions takes at least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
 # Largest angle of directions from the normal [degrees], and its cosine.

@@ -166,7 +166,7 @@ class Coefficients:
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
             # This is the width for averaged windows. It is valid for centred windows, too: each Gaussian is wider by
-            # √2, but the power contains products of two.
+            # √2, but the power contains products of two Gaussians.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -465,7 +465,7 @@ def reference_reflectance(
 
 
 class Body(NamedTuple):
-    """A mesh in world coordinates with its vertex fields.
+    """A mesh in world coordinates with normals, tangents, mirroring and texture coordinates at its vertices.
 
     The texture is sRGB with 8 bits, and its row 0 is at v = 1.
     """

@@ -31,7 +31,7 @@ def middles(height):
 
 
 def spectrum_of_a_sky(sigma_um):
-    """Return D65 over λ², the spectrum that a window reflects from a sky, and the mean of 4πσ²/λ² weighted by its Y."""
+    """Return D65 over λ², the spectrum that a window reflects from a sky, and the mean of 4πσ²/λ², weighted by Y."""
     nm, products = np.arange(380.0, 781.0), colorimetry.colour_products("D65")[:, 1]
     d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)

@@ -27,7 +27,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return the plan of a table so fine that errors of pictures are dominated by the averaging over footprints."""
+    """Return a plan whose table is so fine that errors of pictures are dominated by the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -141,7 +141,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     away = np.abs(image.coverage - coverage)[rim]
     assert np.median(away) < 0.03
     assert away.max() < 0.1
-    # In both pictures, colours are multiplied by the coverage.
+    # Colours are multiplied by the coverage, in the picture and in the reference.
     size = np.linalg.norm(xyz, axis=2)
     bright = rim & (size > 0.05 * np.percentile(size[coverage > 0.99], 90.0))
     relative = np.linalg.norm(image.xyz - xyz, axis=2)[bright] / size[bright]

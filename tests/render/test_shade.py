@@ -351,7 +351,11 @@ BODIES = {
 
 @pytest.mark.parametrize("name", BODIES)
 def test_illuminated_pixels_are_finite_and_positive(name, request):
-    """Pixels in shadow are black. Others have a colour if light and eye are above the surface by both normals."""
+    """Pixels in shadow are black, and illuminated pixels have a finite colour above 0.
+
+    A pixel counts as illuminated if light and eye are above the surface by its interpolated normal and by its face
+    normal.
+    """
     mesh, view = BODIES[name]
     mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)

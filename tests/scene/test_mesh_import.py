@@ -182,7 +182,7 @@ def test_tangents_follow_u_and_mirrored_textures_are_detected():
 
 
 def test_a_fold_of_the_texture_splits_its_vertices():
-    # Two adjacent squares share an edge. The texture of the second square is mirrored about it.
+    # Two adjacent squares share an edge. The texture of the second square is mirrored about this edge.
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0.0]])
     faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
     uv = np.array([[0, 0], [1, 0], [0, 0], [0, 1], [1, 1], [0, 1.0]])

@@ -170,7 +170,7 @@ def test_a_click_in_a_finished_picture_reports_angles_without_rendering(studio):
 
 
 def delayed(is_delayed):
-    """Return a ``Renderer.draw`` that waits in its first refined picture until cancelled and a queue of begun views."""
+    """Return a ``Renderer.draw`` whose first refined picture waits until cancelled, and a queue of begun views."""
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, previews=None):
