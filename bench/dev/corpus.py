@@ -338,7 +338,7 @@ def materials_by_geometry(threads: int) -> Values:
 
 
 def normalised_energy(threads: int) -> Values:
-    """Compute spectra, colours and a map with normalised energy, for a perfect mirror, copper and the default."""
+    """Compute spectra, colours and a map with normalised energy: perfect mirror, copper and default material."""
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")
     surface = fingers()

@@ -128,7 +128,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # The package caches the plan of a height field, so that each call makes a new height field.
+        # The package caches plans of height fields. Each call therefore makes a new height field.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options
@@ -297,7 +297,7 @@ class Row:
     pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
 
     def ratios(self, clock: str) -> list[float]:
-        """Return the ratio of the time of the wheel after to that of the wheel before, one per round."""
+        """Return the ratios of times, wheel ``after`` over wheel ``before``, one per round."""
         return [
             float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
             for pairs in self.pairs
@@ -412,7 +412,7 @@ def warm(wheel: Wheel, text: str) -> list[str]:
 
 
 def main() -> None:
-    """Compare the wheel before with itself, then with the wheel after."""
+    """Compare the wheel ``before`` with itself, then with the wheel ``after``."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--before", type=Path, help="Python of the environment with the baseline wheel")
     parser.add_argument("--after", type=Path, help="Python of the environment with the wheel to compare")

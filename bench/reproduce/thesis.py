@@ -237,19 +237,19 @@ def period_figure(
 
 
 def blazed_periods(setup: Setup) -> Table:
-    """Draw the measurement of the blazed grating's period. Return the table of methods."""
+    """Draw the measurement of the blazed grating's period. Return a table of the periods by all methods."""
     shown = ["averaged, low-rank", FLOOR, "1 × 26 periods, exact", "1 × 26 periods, linear"]
     return period_figure(setup, "blazed", blazed(), BLAZED_UM, shown, counts=(1, 26))
 
 
 def scan_periods(setup: Setup) -> Table:
-    """Draw the measurement of the scan's period. Return the table of methods."""
+    """Draw the measurement of the scan's period. Return a table of the periods by all methods."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 periods, linear"]
     return period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, counts=(1, 1), raw=setup.raw)
 
 
 def scan_windows(setup: Setup) -> Table:
-    """Draw the period measured under one centred window, for windows at many positions of the scan."""
+    """Draw the period measured under one centred window, for windows at many positions. Return a table of quantiles."""
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]

@@ -118,8 +118,8 @@ def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
     Args:
         text: ``"module:function"``. The function takes a height field and a coherence, and returns a function
             ``shade(scattering_vectors, gains, threads)``. Its arguments are (u, v, w) of shape (n, 3), gains (n,) and
-            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the sum of ``warpdiff.reflectance``
-            without geometry factors. It raises ``ValueError`` for an unsupported coherence.
+            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the colours that
+            ``warpdiff.reflectance`` would return for gains of 1. It raises ``ValueError`` for an unsupported coherence.
 
     Returns:
         The function by its name.

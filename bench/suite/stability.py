@@ -212,7 +212,7 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Return directions tilted to within 30° of the normal, because large patches have many coefficients beyond."""
+    """Return directions tilted to within 30° of the normal, which limits the coefficients of large patches."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
@@ -354,7 +354,7 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
             # The automatic choice does not depend on the wavelength step. Its curve is constant, and shows the larger
-            # error of the two surfaces.
+            # error of the panel's two surfaces.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)

@@ -91,7 +91,7 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call of a configuration through the public functions."""
+    """Make the call that a configuration describes, by public functions, and return its results."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,

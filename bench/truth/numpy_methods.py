@@ -373,7 +373,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     return result
 
 
-# Factors by which a number of periods changes the power of one.
+# Factors of replicated periods: ratio of |P|² of N periods to |P|² of one.
 
 
 def published_replicas(turns, periods, dtype=np.float64):

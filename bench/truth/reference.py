@@ -147,7 +147,7 @@ class Coefficients:
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """Return the factor a(τ) [µm²] in the exponent of the Gaussian."""
+        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) around a coefficient."""
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
@@ -165,8 +165,8 @@ class Coefficients:
             # to about |q|/τ = |(u, v)| + 4·spread matter.
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # This is the width for averaged windows. It is valid for centred windows, too: each Gaussian is wider by
-            # √2, but the power contains products of two Gaussians.
+            # This is the Gaussian's standard deviation in τ for averaged windows. It is valid for centred windows, too:
+            # each Gaussian is wider by √2, but the power contains products of two Gaussians.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST

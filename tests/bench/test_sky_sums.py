@@ -74,7 +74,7 @@ def test_a_mirror_under_a_wide_disc_light_reflects_its_whole_lobe():
     light = wd.DirectionalLight(tuple(AXIS), power=2.0, angular_diameter_deg=10.0)
     result = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
     # The integral of 4πσ²/λ² times the reflectance over all directions is 1. Under a disc light that contains the lobe,
-    # the colour is therefore λ²/(4πσ²), divided by the solid angle of the disc.
+    # the reflected light is therefore λ²/(4πσ²), divided by the solid angle of the disc.
     um = 1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1)
     products = colorimetry.colour_products("D65")
     lobe = um**2 @ products / products[:, 1].sum() / (4.0 * math.pi * SIGMA_UM**2)

@@ -31,7 +31,10 @@ def middles(height):
 
 
 def spectrum_of_a_sky(sigma_um):
-    """Return D65 over λ², the spectrum that a window reflects from a sky, and the mean of 4πσ²/λ², weighted by Y."""
+    """Return the spectrum of a grey sky that a window reflects, D65 over λ², and the factor of its brightness.
+
+    The factor is the mean of 4πσ²/λ², weighted by the contribution of each wavelength to Y.
+    """
     nm, products = np.arange(380.0, 781.0), colorimetry.colour_products("D65")[:, 1]
     d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)

@@ -264,7 +264,7 @@ def test_lights_and_pigments_add_up(fingers, table):
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
-    """The weighted Gaussians of the cells sum to the pixel filter, a Gaussian with σ = 0.5 pixel. Points sample it."""
+    """The weighted Gaussians of cells sum to the pixel filter, with σ = 0.5 pixel. Weights of points are its values."""
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])

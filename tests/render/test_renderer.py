@@ -331,8 +331,8 @@ def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, c
         assert np.mean(result.illuminated != expected.illuminated) <= few
         assert np.mean(result.coverage != expected.coverage) <= few
         differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # A converged pixel uses the cells of its neighbours, so a pixel that is refined differently changes those
-        # around it.
+        # The pixel filter of a converged pixel includes cells of its neighbours, so a pixel that is refined differently
+        # changes the pixels around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert result.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
