@@ -1,4 +1,4 @@
-"""Check of whether a change of the code leaves results identical to the bit: arrays of many test cases.
+"""Test cases whose arrays show whether a change of the code leaves all results identical to the bit.
 
 ::
 

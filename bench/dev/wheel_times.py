@@ -6,11 +6,11 @@
     python -m bench.dev.baseline --folder after --commit HEAD --versions-of before
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
-Each round starts a new process for each wheel. For every row of the table, the two processes execute the same call in
-turns; the wheel that begins alternates. The ratio of a round is the median ratio of times over these pairs of calls.
-Rows that start a process per call (cold start, import, help) are timed in the same manner. The ratio of a row is the
-median over rounds. Its confidence interval of at least 95 % is that of order statistics, which assumes no distribution.
-Rounds are added until the interval of each row is within ±``--half-width``, or until ``--most-rounds``.
+Each round starts a new process for each wheel. For every row of the printed table, the two processes execute the same
+call in turns; the wheel that begins alternates. The ratio of a round is the median ratio of times over these pairs of
+calls. Rows that start a process per call (cold start, import, help) are timed in the same manner. The ratio of a row is
+the median over rounds. Its confidence interval of at least 95 % is that of order statistics, which assumes no
+distribution. Rounds are added until the interval of each row is within ±``--half-width``, or until ``--most-rounds``.
 
 First, the wheel ``--before`` is compared with itself by the same procedure. The deviation of these ratios from 1 is the
 noise of the measurement. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is

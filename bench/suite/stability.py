@@ -241,8 +241,8 @@ def order_rate(which: slice = ALL) -> Panel:
 def grazing(which: slice = ALL) -> Panel:
     """Return the panel of grazing light and view: errors over their elevation above the horizon.
 
-    In float32, the sum 1 + ωi·ωr loses digits near the horizon. A source without foreshortening has a large error,
-    because its foreshortening factor 1/cos θi has no limit.
+    In float32, the sum 1 + ωi·ωr loses digits near the horizon. The method that omits the foreshortening of a source by
+    cos θi has an error that grows towards the horizon without limit.
     """
     window, source = wd.Coherence(), wd.Coherence("source")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)

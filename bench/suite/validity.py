@@ -7,8 +7,8 @@ The file also has two estimates of the solver's own error: the violation of the 
 efficiencies on finer meshes.
 
 Errors are shares of the power that a flat surface reflects. For glass, the library computes this reflectance by
-Schlick's formula, and the solver by Fresnel's equations. Each efficiency is divided by its own, which excludes the
-error of Schlick's formula.
+Schlick's formula, and the solver by Fresnel's equations. The efficiencies of both are divided by their own reflectance,
+which excludes the error of Schlick's formula.
 """
 
 from __future__ import annotations

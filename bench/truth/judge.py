@@ -31,8 +31,8 @@ COUNT = 2000
 BRIGHT = 600
 # Tolerance of the reference: half of this value, or half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3
-# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the lobes on the
-# surface are so wide that the reference requires half a million wavelengths.
+# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the foreshortened
+# spread of the source in (u, v) is so narrow that the reference requires half a million wavelengths.
 LOWEST_SOURCE = 0.02
 # Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference does not converge for
 # smaller Y.

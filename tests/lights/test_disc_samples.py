@@ -206,12 +206,12 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
-    # All rays of the filters of these pixels hit the square.
+    # All rays in the pixel filters of the compared pixels hit the square.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
-    # At least three of these pixels are outside of the reflection of the disc.
+    # At least three of the compared pixels are outside of the reflection of the disc.
     assert np.count_nonzero(exact[:, 1] < 0.1 * exact[0, 1]) >= 3
     # A sample of a disc light is a narrow Gaussian, which blurs the rim slightly more than the sum does.
     assert errors.max() < 0.6

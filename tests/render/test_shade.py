@@ -117,8 +117,8 @@ def test_lights_add(snake, fingers):
     # All pictures use the same plan. Otherwise the wavelengths would depend on the lights of each call.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # With one light, its picture is refined to the tolerance. With several lights, only their sum must meet the
-    # tolerance.
+    # A picture with one light is refined until it meets the tolerance. With several lights, only their sum must meet
+    # it, so the sum of the pictures differs slightly.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
