@@ -1,14 +1,16 @@
-"""Benchmarks: measurements of speed and accuracy, their references, and other programs.
+"""Benchmarks: measurements of speed and accuracy, reference results, and other programs for comparison.
 
 - ``suite``: the charts of ``python -m bench``
 - ``reproduce``: other figures, each ``python -m bench.reproduce.NAME``
 - ``dev``: tools for checking changes, each ``python -m bench.dev.NAME``
-- ``truth``: references that share no code with the kernels and serve the tests, too; random calls and their errors
+- ``truth``: reference results by code that is independent of the kernels, also used by the tests; random calls of the
+  library and their errors
 - ``peers``: other programs and baselines for comparison
-- ``inputs``: folder of the real inputs
+- ``inputs``: location of the measured height fields
 """
 
 import os
 
-# OpenMP threads sleep between calls. Threads that wait actively would slow down the other methods.
+# The threads of OpenMP, which other programs use, sleep between calls. Threads that wait actively would slow down the
+# methods that are timed next.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")

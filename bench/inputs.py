@@ -1,4 +1,4 @@
-"""Location of the folder of real inputs: the option ``--data``, ``WARPDIFF_DATA``, or ``../shared/data``."""
+"""Location of the folder of measured height fields: the option ``--data``, ``WARPDIFF_DATA``, or ``../shared/data``."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ HELP = "folder with the scan (default: WARPDIFF_DATA or ../shared/data next to a
 
 
 def folder(data: str | Path | None = None) -> Path:
-    """Return the folder of the real inputs. The folder may be missing."""
+    """Return the folder of the measured height fields. The folder may be missing."""
     return data_folder(data) or Path("shared", "data")
 
 
 def scan(data: str | Path | None = None) -> wd.HeightField | None:
-    """Return the unprocessed 65 µm scan of a corn snake's skin, or None if the file is absent."""
+    """Return the scan of a 65 µm square of a corn snake's skin as measured, or None if the file is absent."""
     dataset = wd.datasets.info("corn_snake_scan")
     path = folder(data) / dataset.local_name
     return read(dataset, path) if path.is_file() else None
 
 
 def levelled_scan(data: str | Path | None = None) -> wd.HeightField | None:
-    """Return the levelled 65 µm scan of a corn snake's skin, or None if the file is absent."""
+    """Return the scan of a 65 µm square of a corn snake's skin, levelled, or None if the file is absent."""
     heightfield = scan(data)
     return None if heightfield is None else heightfield.levelled(order=2)

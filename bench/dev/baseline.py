@@ -1,13 +1,13 @@
-"""Creation of a virtual environment with the wheel of one commit, as a baseline for pictures and times.
+"""Virtual environment with the wheel of one commit, whose pictures and times are a baseline for other commits.
 
 ::
 
     python -m bench.dev.baseline --folder baseline
     python -m bench.dev.baseline --folder head --commit HEAD --versions-of baseline
 
-The script exports the files of the commit to a temporary folder, so that no file of the working tree enters the wheel.
-It prints the path of the environment's Python. ``--versions-of`` installs the same versions of libraries as another
-environment. With different versions, results may differ in the last bit.
+The script exports the files of the commit to a temporary folder, and builds the wheel there, without uncommitted files.
+It prints the path of the environment's Python. With ``--versions-of``, libraries are installed in the versions of
+another environment. Other versions of libraries may change the last bit of results.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Hash of the last commit with the public names of version 0.1.0.
+# Hash of the last commit whose public names are those of version 0.1.0.
 BASELINE = "435cbd29d7812b4a0b884249204b87c1858a2e49"
 
 
@@ -55,7 +55,7 @@ def export(commit: str, folder: Path) -> None:
 
 
 def versions(python: Path) -> str:
-    """Return the versions of all libraries in an environment, in the format of pip's constraints."""
+    """Return the versions of all libraries in an environment, as constraints for ``pip install``."""
     frozen = subprocess.run([python, "-m", "pip", "freeze"], check=True, capture_output=True, text=True).stdout
     return "".join(f"{line}\n" for line in frozen.splitlines() if "==" in line and not line.startswith("warpdiff"))
 

@@ -1,18 +1,18 @@
-"""Reference arrays, which show whether a change of the code leaves all results identical to the bit.
+"""Test cases whose arrays show whether a change of the code leaves all results identical to the bit.
 
 ::
 
     python -m bench.dev.corpus --write before.npz
     python -m bench.dev.corpus --compare before.npz
 
-The script uses only public names, and imports the package that is installed for this Python. With the wheel of another
-version it therefore writes the reference of that version. ``public_names`` maps names that have changed since version
-0.1.0.
+The script uses only public names, and imports the package that is installed for this Python. In an environment with the
+wheel of another version, it writes the arrays of that version. ``public_names`` maps names that have changed since
+version 0.1.0.
 
 The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, views and files, with one
-thread and with two. The values include the numbers of each plan, but no texts except names. Surfaces are small and
-synthetic. Other processors or other versions of a library may round differently. Write and compare on the same machine,
-in environments with the same versions of all libraries.
+thread and with two. The values of a case include the numbers of its plan. Texts are not compared, except names.
+Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write and
+compare the arrays on the same machine, in environments with the same versions of all libraries.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ PERIOD_NUMBERS = (
 
 
 def fingers() -> Any:
-    """Return a new height field of fingers. Nothing is cached for it."""
+    """Return a new height field of fingers, for which the package has no cached plans or tables."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 
@@ -99,8 +99,8 @@ def two_geometries() -> trimesh.Scene:
     """
     scene = trimesh.Scene()
     body = tube()
-    # The explicit base colour keeps trimesh from writing a second texture to GLB. The package reads at most one
-    # texture.
+    # trimesh would write a texture for a material without a base colour. The package reads at most one texture per
+    # file.
     body.visual.material = trimesh.visual.material.PBRMaterial(baseColorFactor=(200, 120, 40, 255))
     scene.add_geometry(body, node_name="tube", geom_name="tube")
     at = trimesh.transformations.translation_matrix((0.0, 0.0, 0.9)) @ np.diag([0.5, 0.5, 0.5, 1.0])
@@ -121,7 +121,7 @@ def box_view(**size: int) -> Any:
 def radiances(*, with_sun: bool) -> np.ndarray:
     """Return an environment map of a bluish sky above brown ground, shape (32, 64, 3).
 
-    With ``with_sun``, one pixel is a sun.
+    With ``with_sun``, the sky has a sun, one pixel wide.
     """
     rng = np.random.default_rng(11)
     up = np.linspace(1.0, -1.0, 32)[:, None, None]
@@ -146,11 +146,11 @@ def coated_metal() -> Any:
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# Functions that collect the compared values from results of the package.
+# Functions that collect the values to compare from a result of the package, by name.
 
 
 def image_values(image: Any) -> Values:
-    """Return the arrays and layers of a picture, with the numbers of its plan and of its report."""
+    """Return the arrays and layers of a picture, the numbers of its plan, and those of its report."""
     return map_values(image) | plan_values(image.plan, getattr(image, "report", None))
 
 
@@ -161,13 +161,13 @@ def map_values(image: Any) -> Values:
 
 
 def plan_values(plan: Any, report: Any = None) -> Values:
-    """Return the numbers of a plan and of a picture's report."""
+    """Return the numbers of a plan, and those of a picture's report if there is a picture."""
     numbers = plan_numbers(plan, report)
     return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 
 
 def named(prefix: str, values: Values) -> Values:
-    """Return the same values with a prefix added to their names."""
+    """Return values by name, with a prefix added to each name."""
     return {f"{prefix}.{name}": value for name, value in values.items()}
 
 
@@ -198,7 +198,7 @@ def pixel_values(path: Path) -> Values:
 
 
 def page_values(path: Path) -> Values:
-    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
+    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order there."""
     page = path.read_text(encoding="utf-8")
     header = re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
     data = re.search(r'<script type="text/plain"[^>]*>([A-Za-z0-9+/=\s]{1000,})</script>', page)
@@ -218,25 +218,25 @@ def _numbers_in(value: Any) -> list[float]:
     return [float(value)] if isinstance(value, (int, float)) else []
 
 
-# Cases that draw pictures.
+# Test cases that draw pictures.
 
 
 def picture(
     body: Callable[[], Any], surface: Callable[[], Any], view: Any, lights: Any = ABOVE, **options: Any
 ) -> Case:
-    """Return a case that renders a height field on a body."""
+    """Return a test case that renders a body with a height field."""
     return lambda threads: image_values(
         wd.shade(body(), lights=lights, heightfield=surface(), view=view, threads=threads, **options)
     )
 
 
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
-    """Return a case that renders the surface of fingers on the tube."""
+    """Return a test case that renders the tube with the height field of fingers."""
     return picture(tube, fingers, view or tube_view(), lights, **options)
 
 
 def sampled_picture(method: str) -> Case:
-    """Return a case that renders a small picture by a method that samples wavelengths."""
+    """Return a test case that renders a small picture of the tube by integration over sampled wavelengths."""
     return tube_picture(
         method=method, integration="sampled", refine=False, footprint=False, view=tube_view(**SMALL), tolerance=3e-2
     )
@@ -253,7 +253,7 @@ def explicit_tangents(threads: int) -> Values:
 
 
 def explicit_plan(threads: int) -> Values:
-    """Render with an explicit plan that has one changed field."""
+    """Render with an explicit plan: the automatic plan with two additional terms."""
     surface = fingers()
     plan = wd.plan(heightfield=surface, tolerance=3e-2, threads=threads)
     changed = dataclasses.replace(plan, terms=plan.terms + 2)
@@ -266,7 +266,7 @@ def disc_view(**size: int) -> Any:
 
 
 def successive_pictures(threads: int) -> Values:
-    """Render two pictures with one renderer, under different lights and views."""
+    """Render two pictures with the same renderer, with other lights and another view in the second picture."""
     options = {"lights": ABOVE, "view": tube_view(), "tolerance": 3e-2, "threads": threads}
     renderer = wd.Renderer(tube(), heightfield=fingers(), **options)
     first = image_values(renderer.image())
@@ -276,7 +276,7 @@ def successive_pictures(threads: int) -> Values:
 
 
 def previews(threads: int) -> Values:
-    """Collect the previews that a renderer completes at larger tolerances, and its final picture."""
+    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and its final picture."""
     renderer = wd.Renderer(tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=2e-2, threads=threads)
     completed: Values = {}
 
@@ -293,11 +293,11 @@ def resized_renderer(threads: int) -> Values:
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 
 
-# Cases with environment lights.
+# Test cases with environment lights.
 
 
 def sky_picture(*, with_sun: bool, **options: Any) -> Case:
-    """Return a case that renders the tube under a sky, with the sky as background."""
+    """Return a test case that renders the tube under a sky, with the sky as background."""
 
     def draw(threads: int) -> Values:
         sky = wd.Environment(radiances(with_sun=with_sun), rotation_deg=30.0, scale=0.7, directions=100)
@@ -323,7 +323,7 @@ def loaded_sky(threads: int) -> Values:
     return image_values(wd.shade(box(), fingers(), sky, view, tolerance=0.3, refine=False, threads=threads))
 
 
-# Cases with materials and with normalised energy.
+# Test cases with materials and with normalised energy.
 
 
 def materials_by_geometry(threads: int) -> Values:
@@ -338,7 +338,7 @@ def materials_by_geometry(threads: int) -> Values:
 
 
 def normalised_energy(threads: int) -> Values:
-    """Compute spectra, colours and a map with normalised energy, for a perfect mirror and a metal."""
+    """Compute spectra, colours and a map with normalised energy: perfect mirror, copper and default material."""
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")
     surface = fingers()
@@ -351,11 +351,11 @@ def normalised_energy(threads: int) -> Values:
     }
 
 
-# Cases that compute colours or spectra of arrays of directions.
+# Test cases that compute colours or spectra of arrays of directions.
 
 
 def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
-    """Return a case that computes the colours of ``count`` random directions."""
+    """Return a test case that computes the colours of ``count`` random directions."""
     return lambda threads: {
         "xyz": wd.reflectance(
             heightfield=fingers(), to_light=directions(count)[0], to_view=directions(count)[1], coherence=coherence,
@@ -379,7 +379,7 @@ def spectra(threads: int) -> Values:
 
 
 def orders(_: int) -> Values:
-    """Compute the orders of gratings made of a metal, a coated metal and a perfect mirror, with both energy options."""
+    """Compute the orders of a metal, a coated metal and a mirror grating, with both values of ``energy``."""
     names = ("wavelengths_nm", "orders", "to_view", "efficiencies")
     light = (0.3, 0.1, 1.0)
     calls = {
@@ -407,7 +407,7 @@ def maps(threads: int) -> Values:
 
 
 def material_colours(threads: int) -> Values:
-    """Compute colours and spectra of a coated metal under a black body and under daylight."""
+    """Compute colours of a coated metal under two illuminants, its spectra, and the reflectance of a flat surface."""
     lights, views = directions(60)
     material = coated_metal()
     options: Values = {"material": material, "threads": threads}
@@ -420,11 +420,11 @@ def material_colours(threads: int) -> Values:
     }
 
 
-# Cases that process height fields.
+# Test cases that process height fields: cleaning, periods and files.
 
 
 def surfaces(_: int) -> Values:
-    """Collect synthetic height fields, the results of all cleaning methods, a summary and a plan."""
+    """Collect synthetic height fields, results of all cleaning methods, and summary and plan of a cleaned field."""
     rng = np.random.default_rng(3)
     fields = {
         "fingers": fingers(), "bumps": wd.gratings.bumps(), "blazed": wd.gratings.blazed(2.0, 0.3),
@@ -442,7 +442,7 @@ def surfaces(_: int) -> Values:
 
 
 def repeats(_: int) -> Values:
-    """Find the periods of a noisy crossed grating with a gap, and crop it to whole periods."""
+    """Find the periods of a noisy crossed grating with missing heights, and crop it to whole periods."""
     rng = np.random.default_rng(17)
     y, x = np.mgrid[:160, :200] * 0.1
     heights = 0.2 * np.cos(2.0 * np.pi * x / 2.3) + 0.1 * np.cos(2.0 * np.pi * (y + 0.2 * x) / 3.1)
@@ -456,7 +456,7 @@ def repeats(_: int) -> Values:
 
 
 def height_files(_: int) -> Values:
-    """Load height fields from 8-bit and 16-bit images, a floating-point TIFF, and a .npy file with a gap."""
+    """Load height fields from 8-bit and 16-bit images, a floating-point TIFF, and a .npy file with missing heights."""
     rng = np.random.default_rng(23)
     heights = rng.random((24, 24)).astype(np.float32)
     gaps = heights.astype(np.float64)
@@ -480,7 +480,7 @@ def height_files(_: int) -> Values:
     return values
 
 
-# Cases that write and read files: meshes, pictures, baked tables, web pages and sequences.
+# Test cases that write and read files: meshes, pictures, baked tables, web pages and sequences.
 
 
 def mesh_files(threads: int) -> Values:
@@ -587,7 +587,7 @@ def pages(threads: int) -> Values:
 
 
 def sequences(threads: int) -> Values:
-    """Render sequences with a turntable, a light sweep and a camera path, and collect their shots and pixels."""
+    """Render a turntable, a light sweep and a camera path, and collect the shots and pixels of these sequences."""
     view = tube_view(**MEDIUM)
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], view, tolerance=1e-1, refine=False, threads=threads)
     path_text = "eye_x,eye_y,eye_z,target_x,target_y,target_z,fov_y_deg\n0,1.6,3.1,0,0,0,27\n0.5,1.2,3,0.1,0,0,30\n"
@@ -631,12 +631,12 @@ CASES: dict[str, Case] = {
     "sampled footprints": tube_picture(
         method="low-rank", integration="sampled", view=tube_view(**SMALL), tolerance=1e-1
     ),
-    # The snake has a texture, two lights, shadows, overlapping scales and all layers.
+    # The picture of the snake has a texture, two lights, shadows, overlapping scales and all layers.
     "snake": picture(
         wd.meshes.snake, fingers, wd.View((0.5, 1.1, 1.2), (0.1, 0.0, 0.2), fov_y_deg=20.0, **SIZE), [ABOVE, SIDE],
         layers=("normal", "depth", "geometry"), tolerance=3e-2,
     ),
-    # The box has facets and a texture, and an orthographic camera.
+    # The picture of the box has flat faces with a texture, and an orthographic camera.
     "box": picture(
         box, lambda: wd.gratings.disc("CD", tracks=4, length_um=12.8, pitch_um=0.09), box_view(),
         wd.DirectionalLight((0.5, 1.0, 1.5), illuminant="FL11"), smooth=False, pigment=300.0, samples_per_pixel=4,
@@ -646,7 +646,7 @@ CASES: dict[str, Case] = {
     "many directions": direction_colours(40_000, wd.Coherence(), illuminant="FL2", tolerance=3e-2),
     "many directions, centred": direction_colours(33_000, wd.Coherence("centred"), tolerance=3e-2), "spectra": spectra,
     "maps": maps, "surfaces": surfaces,
-    # The following cases test features that were added in version 0.2.
+    # The following test cases use features that version 0.1 lacks.
     "explicit plan": explicit_plan, "previews": previews, "resized renderer": resized_renderer,
     "point light": picture(
         two_geometries, fingers, tube_view(), [wd.PointLight((1.2, 1.4, 0.4), power=2.0, illuminant="FL2"), SIDE],
@@ -675,13 +675,14 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-# Functions that write the values of all cases and compare them.
+# Functions that write the values of all test cases and compare them.
 
 
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Compute all values of the named cases.
+    """Compute all values of the named test cases.
 
-    Keys are case, number of threads and value. The second result has one line per failed case.
+    Keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
+    depend on the number of threads.
     """
     values: dict[str, np.ndarray] = {}
     failures = []
@@ -736,14 +737,14 @@ def _difference(a: np.ndarray, b: np.ndarray) -> str:
 
 
 def main() -> int:
-    """Write the values, or compare them with a written reference. Return 1 if a value differs or a case fails."""
+    """Write the values, or compare them with a written file. Return 1 if a value differs or a case fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--write", type=Path, metavar="FILE", help="write the reference to this .npz file")
     action.add_argument("--compare", type=Path, metavar="FILE", help="compare with the reference in this .npz file")
     parser.add_argument("--only", nargs="+", metavar="CASE", choices=list(CASES), help="compute only these cases")
     options = parser.parse_args()
-    # Caches on disk are disabled, because another version may have written them.
+    # The disk cache is disabled, because it may contain tables of another version of the package.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     folder = Path(wd.__file__).parent

@@ -5,10 +5,11 @@
     python -m bench.dev.device_check --device cuda --output check.json
     python -m bench.dev.device_check --device cpu --times 0
 
-Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The pictures cover all kinds of
-light and coherence, and both devices use the same plan. Devices round differently, so that they may subdivide different
-pixels. The CPU therefore renders a third picture with the light rotated by 2e-7, which is about the rounding error of a
-direction. The difference between the devices should be about as large as the difference that this rotation causes.
+Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The compared pictures cover all
+kinds of light and coherence, and both devices use the same plan. Devices round differently, and may therefore subdivide
+different pixels. To show how large such differences may be, the CPU renders each picture again with its lights rotated
+by 2e-7, about the rounding error of a direction. The difference between the devices should be about as large as the
+difference that this rotation causes.
 """
 
 from __future__ import annotations
@@ -38,19 +39,19 @@ WAYS: dict[str, dict[str, Any]] = {
 ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 BESIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 NEAR = wd.PointLight((1.2, 1.4, 0.4), power=2.0)
-# Relative change of a direction or position. Derived: about the rounding error of float32.
+# Relative change of a light's direction or position. Derived: about the rounding error of float32.
 TURN = 2e-7
 # Reported quantiles of the differences between pictures.
 QUANTILES = (0.5, 0.99, 0.999)
 
 
 def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **options: Any) -> dict[str, float]:
-    """Return frame times [ms]: the first with plan and tables, and median and maximum of the later ones."""
+    """Return times of frames [ms]: the first, which includes plan and tables, and median and maximum of the others."""
     seconds = []
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU works asynchronously, so that the time includes the wait until the frame is complete.
+        # A GPU works asynchronously. Without this wait, the time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)
@@ -87,14 +88,15 @@ def turned(light: Any) -> Any:
 
 
 def picture_differences(case: Any, device: str) -> dict[str, Any]:
-    """Return quantiles of the relative differences from the CPU's picture.
+    """Return quantiles of the relative differences of two pictures from the CPU's picture of the same case.
 
-    The compared pictures are that of the device, and one by the CPU under rotated lights.
+    The two pictures are the device's, and the CPU's with slightly rotated lights.
     """
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # Options that are not part of a plan must be passed separately.
+    # A plan does not contain material, energy, pigment and samples per pixel, which are therefore passed in addition to
+    # it.
     unplanned = {
         name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
     }

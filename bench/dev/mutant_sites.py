@@ -1,4 +1,4 @@
-"""Possible faults for a mutation run: one-token changes of Python sources, and two manual faults per C++ header."""
+"""Faults for mutation testing: one-token changes of Python sources, and two faults per C++ header, listed in a file."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ PACKAGES = {
 }  # fmt: skip
 NATIVE = "kernels/native"
 
-# Replacements of tokens, old to new. Where a token has several replacements, a hash selects one. Function names are
-# replaced only in calls.
+# Replacements of tokens, old to new. Where a token has several replacements, a hash of its line selects one. Names of
+# functions are replaced only where the function is called.
 PAIRS = (
     "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
     "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
@@ -34,11 +34,11 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls are never mutated: they make messages, names in messages, types, or options of the compiler.
+# Functions whose calls are never changed: they make messages, names for messages, types, or options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# File of the header faults. Each line has the form "header: text". The text occurs once in the header, where «old|new»
-# stands for old.
+# File that lists the faults of headers. Each line is "header: text". The text contains «old|new», and with old in its
+# place it occurs once in the header.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 
@@ -53,8 +53,9 @@ class Mutant:
         old: Text that is replaced.
         new: Replacement text.
         line: Line number of the change.
-        names: Names that the changed line defines: function, method, class or variables. For a header, its file name.
-        identity: Text that identifies the change on other commits, too. It contains no path and no line number.
+        names: Function, method, class or variables in whose definition the changed line is. For a header, its file
+            name.
+        identity: Text by which the same change is recognised in other commits. It contains no path and no line number.
     """
 
     package: str
@@ -67,7 +68,7 @@ class Mutant:
     identity: str
 
     def apply(self, source: bytes) -> bytes:
-        """Return the source of the file with this change."""
+        """Apply the change to the unchanged source of the file, and return the result."""
         return source[: self.begin] + self.new.encode() + source[self.begin + len(self.old.encode()) :]
 
 
@@ -87,7 +88,7 @@ def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
 
 
 def _skipped(node: ast.AST) -> list[ast.AST | None]:
-    """Return the parts of a syntax node that are never mutated: annotations, decorators, messages and imports."""
+    """Return the parts of a syntax node that are never changed: annotations, decorators, messages and imports."""
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
         return [*node.decorator_list, getattr(node, "returns", None)]
     if isinstance(node, (ast.arg, ast.AnnAssign)):
@@ -101,7 +102,7 @@ def _skipped(node: ast.AST) -> list[ast.AST | None]:
 
 
 def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str]]:
-    """Return position (byte), old text and new text of each possible token change in a source."""
+    """Return byte position, old and new text of each possible token change. ``starts`` are positions of lines."""
     types = {tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING}
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type in types]
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
@@ -154,12 +155,12 @@ def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
 
 
 def _span(node: ast.AST, starts: list[int]) -> tuple[int, int]:
-    """Return the byte range of a syntax node: its first byte, and the byte after its last one."""
+    """Return the byte range of a syntax node: positions of its first byte and of the byte after its last one."""
     return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
 
 
 def header_mutants(root: Path) -> Iterator[Mutant]:
-    """Return the manual faults of the C++ headers. The text around each fault must occur exactly once."""
+    """Return the faults of the C++ headers that the file lists. Each text must occur once in its header."""
     for fault in FAULTS.read_text(encoding="utf-8").splitlines():
         header, _, text = fault.partition(": ")
         before, old, new, after = re.split("[«|»]", text)
@@ -172,10 +173,10 @@ def header_mutants(root: Path) -> Iterator[Mutant]:
 
 
 def draw(root: Path, seed: str, packages: Iterable[str] = PACKAGES) -> list[Mutant]:
-    """Return the possible changes of some packages in random order. The first ones are a random sample.
+    """Return all possible changes of some packages in random order, so that the first n are a random sample.
 
-    The order is that of hashes of the seed and of each change's text. Samples with the same seed are therefore
-    comparable across commits.
+    The changes are sorted by a hash of the seed and of their identity. With the same seed, a change that exists in two
+    commits has the same hash in both, so that samples of two commits contain mostly the same changes.
     """
     mutants = (mutant for package in packages for mutant in mutants_of(root, package))
     return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

@@ -1,10 +1,10 @@
-"""Mutation score: share of one-token faults in the sources that the tests detect, for one or several commits.
+"""Mutation score: share of one-token faults in the sources that the tests detect, for one commit or several.
 
 ``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. It records once
 which functions and kernels each test executes. It then makes one change at a time and runs the tests that execute the
-changed code, the most specific first. The seed determines the changes. ``--headers`` makes two faults in each C++
-header instead. The commits alternate, so that an interrupted run also compares them. The same command continues an
-interrupted run.
+changed code; tests of the changed module come first. The seed determines the changes. ``--headers`` makes two faults in
+each C++ header instead. Changes of the commits alternate, so that the scores are comparable even if the run is
+interrupted. The same command continues an interrupted run.
 """
 
 from __future__ import annotations
@@ -40,21 +40,22 @@ if TYPE_CHECKING:
     from types import FrameType
 
 ROOT = Path(__file__).resolve().parents[2]
-# Test folders and files that a mutation run uses. It excludes tests of interfaces, files and signals.
+# Test folders and files that mutation testing uses. Tests of interfaces, files and signals are excluded.
 TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
-# `PATIENCE` is the time limit of a change, relative to the time limit of its tests. `COMPILE_S` is the additional time
-# [s] to compile kernels. Limit: a test that exceeds both is counted as timed out.
+# `PATIENCE` is the ratio of the time limit for the tests of a change to the largest total time of these tests without
+# the change. `COMPILE_S` is additional time [s] to compile kernels. Limit: tests that exceed both count as timed out.
 PATIENCE, COMPILE_S = 4.0, 60.0
-# Largest address space of a test process [bytes]. Limit: without it, a changed array size could exhaust the memory.
+# Largest address space of a test process [bytes]. Limit: a changed array size could otherwise exhaust the memory.
 MEMORY = 12 << 30
-# Test processes are forks of a server process that has imported the slow packages, but not warpdiff.
+# Test processes are forks of a server process that has imported the slow packages. The fork imports warpdiff, whose
+# sources change.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
 
 
 class Recorder:
-    """Plugin of pytest that records time, executed functions and kernels, and failure of each test function."""
+    """Plugin of pytest that records each test function: time, failure, and the functions and kernels it executes."""
 
     def __init__(self, tree: Path, output: Path) -> None:
         self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
@@ -92,9 +93,9 @@ class Recorder:
 
 
 def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
-    """Run tests in the copy of a commit until one fails, or run and record all of them.
+    """Run tests in the exported copy of a commit until one fails. With ``record``, run all and record them.
 
-    Then end this forked process.
+    This process, a fork, ends afterwards.
     """
     os.setsid()
     os.chdir(tree)
@@ -104,7 +105,8 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
     log = os.open(f"{tree}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(log, 1)
     os.dup2(log, 2)
-    # Modules of ``bench`` are removed from memory, because the copy has its own versions of them.
+    # Modules of ``bench`` are removed from memory, because the exported copy of the commit has its own versions of
+    # them.
     for name in [name for name in sys.modules if name.partition(".")[0] == "bench"]:
         del sys.modules[name]
     sys.path[:] = [str(tree), *(path for path in sys.path if Path(path).resolve() != ROOT)]
@@ -113,7 +115,7 @@ def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
 
 
 def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path | None = None) -> str:
-    """Run tests in the copy of a commit.
+    """Run tests in the exported copy of a commit, in a separate process.
 
     Return ``"survived"``, ``"timed out"``, or the name of the test that failed.
     """
@@ -129,7 +131,7 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
 
 
 class Run:
-    """Copy of one commit, with its tests and the results of its changes."""
+    """Exported copy of one commit, with its recorded tests and the results of the changes."""
 
     def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
         self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
@@ -151,7 +153,7 @@ class Run:
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
         """Return each definition with the names that it uses.
 
-        Names used by statements that define nothing count for the whole module.
+        Names used by statements that define nothing count as used by each definition of the module.
         """
         for path in (self.tree / NATIVE).glob("*.h"):
             yield path.name, set(re.findall(r'#include "(\w+\.h)"', path.read_text(encoding="utf-8")))
@@ -161,11 +163,11 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return the test functions for a change, the most specific and the fastest first.
+        """Return the test functions for a change: those of the module's own test file first, then fast ones.
 
-        The list has the tests in the module's own test file and all tests that execute the changed code. Some changed
-        code is never recorded as executed, such as constants, structs and functions of kernels. For it, the list has
-        the tests that execute code which uses it.
+        The list has the tests in the module's own test file and all tests that execute the changed definition. The
+        execution of constants, structs and functions of kernels is not recorded. For a change of one of these, the list
+        has the tests that execute code which uses it.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
@@ -190,8 +192,8 @@ class Run:
         changed = path.read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
         result = run_pytest(self.tree, tests, COMPILE_S + PATIENCE * self._most_s) if tests else "survived"
         path.write_bytes(source)
-        # Python detects changed sources by size and time in whole seconds, both of which may be equal. The compiled
-        # file is deleted.
+        # Python compares the size and the modification time, in whole seconds, of a source with those of its compiled
+        # file. Both may be equal after a change, so the compiled file is deleted.
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
         record = {
             "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,

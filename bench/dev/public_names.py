@@ -1,8 +1,8 @@
 """Import of the installed warpdiff under the public names of version 0.2, also where version 0.1.0 is installed.
 
 ``from bench.dev.public_names import wd`` imports the package that is installed for this Python, never the source folder
-next to ``bench``. For version 0.1.0, the baseline, the tables below add the new names to the package. Newer versions
-are not modified.
+next to ``bench``. If that package is version 0.1.0, the baseline, the new names are added to it. Newer versions are not
+modified.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ARGUMENTS = {
     "delta_e": "tolerance",  # argument of bake
     "previews": "coarser",  # argument of Renderer.draw
 }
-# Functions and methods that have renamed arguments.
+# Functions and methods with arguments that were renamed.
 RENAMED_FUNCTIONS = (
     "bake", "bake_spectrum", "brdf", "brdf_map", "camera_path", "export_html", "order_efficiencies", "plan",
     "reflectance", "shade", "spectral_reflectance", "turntable",
@@ -49,8 +49,8 @@ PLAN_FIELDS = {
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
-# Numbers of a picture's report, with their values for a plan without a picture. Up to version 0.1.0 they were fields of
-# the plan.
+# Fields of a picture's report that were fields of the plan in version 0.1.0, with their values for a plan without a
+# picture.
 REPORT_FIELDS = {
     "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
     "errors": (0.0, 0.0),
@@ -63,7 +63,7 @@ def is_baseline(package: ModuleType) -> bool:
 
 
 def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
-    """Return the fields of a plan, of its coherence and of a picture's report, under their new names."""
+    """Return the fields of a plan, of its coherence and of a picture's report, under the names of version 0.2."""
     fields = dataclasses.asdict(plan)
     if not is_baseline(wd):
         fields |= {name: getattr(report, name, value) for name, value in REPORT_FIELDS.items()}
@@ -75,8 +75,8 @@ def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
 
 
 def _installed() -> Any:
-    # The root of the checkout is removed from the import path. It is there because of ``bench``, but its ``warpdiff``
-    # folder must not be imported.
+    # The root of the checkout is on the import path because ``bench`` lies in it. It is removed, so that its
+    # ``warpdiff`` folder is not imported instead of the installed package.
     sys.path[:] = [entry for entry in sys.path if Path(entry).resolve() != ROOT]
     package = importlib.import_module("warpdiff")
     if is_baseline(package):

@@ -1,4 +1,4 @@
-"""Endurance test: repeat the permanent tests of a checkout for a given time, and count failures.
+"""Endurance test: repeat the tests with the marker ``permanent`` for some time, and count failures.
 
 Run ``make soak MINUTES=5``, or ``python -m bench.dev.soak --minutes 5``.
 """
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[2]
-# Additional time [s] after the end for tests that are still running. Limit: a test that exceeds it counts as hanging.
+# Time [s] after the planned end for which tests may still be running. Limit: a test that exceeds it counts as hanging.
 GRACE_S = 900.0
 
 
 class Row(NamedTuple):
-    """Counts of one row of the table: test cases, failures and skipped tests."""
+    """Numbers of test cases, failures and skipped tests in one row of the report's table."""
 
     cases: int
     failed: int
@@ -36,11 +36,11 @@ class Row(NamedTuple):
 
 
 def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
-    """Return the counts by row of the table, from the test cases of a report in JUnit format."""
+    """Return the counts by row of the report's table, from the test cases of a JUnit file. A test names its row."""
     result: dict[str, Row] = defaultdict(lambda: Row(0, 0, 0))
     for case in cases:
         properties = {entry.get("name"): entry.get("value", "") for entry in case.iter("property")}
-        # Test files that are skipped because a package is missing belong to no row.
+        # A test file that is skipped because a package is missing names no row, and is not counted.
         if "row" not in properties:
             continue
         row = result[properties["row"]]
@@ -63,7 +63,7 @@ def table(results: dict[str, Row]) -> str:
 def run(end: float, *, seed: int) -> dict[str, Row]:
     """Run all permanent tests once, but not longer than until ``end`` [seconds since the epoch].
 
-    Return their counts.
+    Return their counts by row of the report's table.
     """
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"

@@ -1,17 +1,19 @@
-"""Comparison of automatic plans with the cheapest settings: costs, and predicted relative to actual errors.
+"""Comparison of automatic plans with the cheapest settings: times, and predicted relative to actual errors.
 
 A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions, of which the first 128
 are evaluated. Its automatic plan is compared with all settings of a grid. The grid varies the method, the number of
-terms in whole registers, the neighbours in steps of 0.5 of the exponent of their least weight, and the wavelength sets
-with their shares of the bandwidth in quarter octaves. It includes equal numbers of wavelengths for all directions and,
-for periods, subdivisions in quarter octaves.
+terms in multiples of the vector width, the number of neighbours by their least weight exp(−n/2), and the number of
+wavelengths per direction. That number depends on (u, v) and w as in a plan, with factors that vary in quarter octaves,
+or is equal for all directions. For replicated patches, the grid varies the subdivisions of a wavelength interval, in
+quarter octaves, instead of the neighbours.
 
-A setting counts if it meets the tolerance on these 128 directions against the float64 reference, without a safety
-factor. Errors are relative to the brightness of the whole call. The settings with the lowest predicted cost, in total
-and per method, are timed; the fastest is the cheapest setting. The result of a direction depends only on its own
-wavelength set. Each set is therefore computed once, and plans are combined from the sets.
+A setting is a candidate if it meets the tolerance on these 128 directions against the float64 reference, without a
+safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest predicted
+cost, in total and per method, are timed; the fastest is the cheapest setting. The colour of a direction depends only on
+its own wavelengths. Colours are therefore computed once for each number of wavelengths, and the errors of plans are
+combined from them.
 
-Times are processor times divided by the number of threads, medians of interleaved rounds.
+Times are processor times divided by the number of threads, as medians of rounds in which all plans are timed once.
 """
 
 from __future__ import annotations
@@ -44,32 +46,33 @@ from warpdiff.tables import coefficient_table
 
 # Width of the visible range in wavenumbers 1/λ [1/µm].
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-# Number of directions that are evaluated, and number of directions of the planned call.
+# Number of directions whose errors are evaluated, and number of directions for which the plan is made.
 DIRECTIONS, PLANNED = 128, 40_000
 # Smallest cosine of random directions. Limit: 85° from the normal.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
-# Tolerances of configurations, and those of replicas, whose reference is slow.
+# Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces
-# Numbers of wavelengths in small sets, in quarter octaves. These sets are the same for all directions, because the
-# kernel's own sets begin at 16.
+# Numbers of wavelengths below 16, in quarter octaves. They are equal for all directions, because a plan with different
+# numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
-# Parts of the bandwidth: share of the constant part in quarter octaves, and division of the rest between (u, v) and w.
+# Shares of a plan's bandwidth: `CONSTANTS` is the share that is equal for all directions, in quarter octaves. `SPLITS`
+# is the part of the remaining share that is proportional to the order rate; the rest is proportional to |w|.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# Number of values that are tried, starting at the least sufficient one: numbers of terms, and exponents of the least
-# weight.
+# Numbers of values that are tried from the least sufficient value on: `MORE_TERMS` for terms, and `MORE_EXPONENTS` for
+# the exponent of the least weight.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
-# Step and largest value of the exponent of the least weight.
+# Step and upper limit of n in the least weight exp(−n) of neighbours.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Factor of the lowest predicted cost above which methods and settings are excluded.
+# Methods and settings whose predicted cost exceeds the lowest one by this factor are not tried.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
 # Largest number of directions of one timed call. Limit: duration of a comparison.
 MOST_TIMED = 4096
-# Number of assignments that are evaluated at once. Limit: memory.
+# Number of assignments of wavelengths that are evaluated at once. Limit: memory.
 CHUNK = 64
 
 
@@ -113,7 +116,7 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
     """Return random configurations. Kinds of coherence alternate; surfaces and tolerances occur equally often."""
     rng = np.random.default_rng(seed)
     fields = surfaces(data)
-    # Replicated patches must be small, because the reference sums them sample by sample.
+    # The float64 reference sums every height sample of a replicated patch, so that only small patches are used.
     small = [name for name, heightfield in fields.items() if math.prod(heightfield.shape) <= 1 << 14]
     remaining: dict[Any, list[Any]] = {}
 
@@ -132,7 +135,7 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
         if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
             pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
-        # Half of the calls have one light direction, like a map; the others have many, like a picture.
+        # Half of the calls have one light direction, like a reflectance map. The others have many, like a picture.
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
         coherence = wd.Coherence(kind, periods=pair)
@@ -148,7 +151,7 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class Call:
-    """Directions of one call, their reference colours, and the results of plans."""
+    """Some directions of one configuration, their reference colours, and their colours and errors by plans."""
 
     def __init__(
         self, case: Configuration, lights: np.ndarray, views: np.ndarray, luminance: float, *, threads: int | None
@@ -169,7 +172,7 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        # Errors are relative to the brightness of all planned directions, which these few directions do not represent.
+        # The floor of errors is derived from the luminance of all planned directions, which these few do not represent.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -189,7 +192,7 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """Return a function that evaluates a plan. Its tables are made in advance."""
+        """Make the tables of a plan, and return a function that computes the colours of the directions by this plan."""
         heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
@@ -207,23 +210,23 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the relative error of each direction by a plan."""
+        """Return the relative error of each direction's colour by a plan."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """Return the error of a call: the larger P99 of bright and of dim directions, from errors of shape (..., n)."""
+        """Return the larger P99 of errors (..., n): that of bright directions, or that of dim ones."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Return the error of the whole call by a plan."""
+        """Compute colours by a plan, and return the larger P99 of their errors: of bright or of dim directions."""
         return float(self.worst(self.errors(plan)))
 
 
 class Bandwidths:
-    """All assignments of wavelength sets to directions, with their mean numbers of wavelengths."""
+    """Assignments of a number of wavelengths to each direction, and the mean number of each assignment."""
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
@@ -242,7 +245,7 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # The smallest wavelength sets are the same for all directions.
+        # The numbers of wavelengths in ``FEWER`` are equal for all directions.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -251,9 +254,9 @@ class Bandwidths:
         self.order = np.argsort(self.counts, kind="stable")
 
     def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
-        """Return the index of the cheapest assignment that meets the tolerance, or None.
+        """Return the index of the assignment with the fewest wavelengths that meets the tolerance, or None.
 
-        ``errors`` has the errors of all directions by all sets, shape (sizes, n).
+        ``errors`` has the errors of all directions for all numbers of wavelengths, shape (sizes, n).
         """
         columns = np.arange(errors.shape[1])
         for start in range(0, len(self.order), CHUNK):
@@ -264,7 +267,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan that uses one assignment of wavelength sets."""
+        """Return a plan with the numbers of wavelengths of one assignment."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -281,9 +284,10 @@ class Setting(NamedTuple):
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the cheapest bandwidth for each promising combination of method, terms and neighbours.
+    """Return the cheapest sufficient numbers of wavelengths for each combination of method, terms and neighbours.
 
-    For replicas, subdivisions take the place of neighbours.
+    Combinations that are too costly even with the fewest wavelengths are excluded. For replicas, subdivisions are
+    varied instead of neighbours.
     """
     case = call.case
     tolerance = case.tolerance
@@ -315,7 +319,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
             bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
             if enough == MORE_TERMS or not is_promising(bare):
                 break
-            # Skip a series that has far too few terms.
+            # A series with fewer terms than half of its largest argument x does not converge, and is not evaluated.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
                 argument = (
@@ -341,7 +345,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan with the fewest sufficient neighbours and more, or with all subdivisions."""
+    """Return variants of a plan: with the fewest sufficient neighbours and more, or (replicas) other subdivisions."""
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
         counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
@@ -378,12 +382,12 @@ def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
 
 
 class Result(NamedTuple):
-    """Ratios of one configuration.
+    """Ratios of the automatic plan of one configuration to its cheapest setting, and of predicted to actual errors.
 
     Attributes:
-        ratio: Time of the plan over the time of the cheapest setting.
-        predicted: Predicted over actual error, on the planned directions.
-        fresh: Predicted over actual error, on directions that the plan has not read.
+        ratio: Time of the automatic plan over the time of the cheapest setting.
+        predicted: Error that the plan predicts over its actual error, on directions for which it was made.
+        fresh: The same ratio, with the actual error on 128 other directions of the call.
         samples: Predicted number of samples of the plan over that of the cheapest setting.
         kernel: Predicted cost per sample of the plan over that of the cheapest setting.
     """
@@ -396,7 +400,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Plan, search and time one configuration. Return a table row and its numbers."""
+    """Plan one configuration, find and time its cheapest setting, and return a table row and its ratios."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -428,7 +432,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The cost ratio is the product of two ratios: mean number of samples, and cost per sample.
+    # The ratio of predicted costs is the product of two ratios: of the mean numbers of samples, and of the costs per
+    # sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]

@@ -6,15 +6,15 @@
     python -m bench.dev.baseline --folder after --commit HEAD --versions-of before
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
-Each round starts a new process for each wheel. For every row the two processes alternate call by call, in alternating
-order. The ratio of a round is the median over pairs of neighbouring calls of the same work. Rows that start their own
-processes (cold start, import, help) alternate in the same manner. The ratio of a row is the median over rounds. Its
-interval of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added until the
-interval of each row is within ±``--half-width``, or until ``--most-rounds``.
+Each round starts a new process for each wheel. For every row of the printed table, the two processes execute the same
+call in turns; the wheel that begins alternates. The ratio of a round is the median ratio of times over these pairs of
+calls. Rows that start a process per call (cold start, import, help) are timed in the same manner. The ratio of a row is
+the median over rounds. Its confidence interval of at least 95 % is that of order statistics, which assumes no
+distribution. Rounds are added until the interval of each row is within ±``--half-width``, or until ``--most-rounds``.
 
-First, the wheel ``--before`` is compared with itself by the same procedure. These ratios show which differences the
-machine can resolve. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is cached
-on disk.
+First, the wheel ``--before`` is compared with itself by the same procedure. The deviation of these ratios from 1 is the
+noise of the measurement. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is
+cached on disk.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Fewest rounds for which order statistics give an interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
-# Total time of calls per wheel, row and round [s], and limits of the number of calls.
+# Target of the total time [s] of one wheel's calls per row and round, and limits of the number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000
@@ -66,13 +66,13 @@ class Seconds(NamedTuple):
     cpu: float
 
 
-# Rows of the table that a worker process measures.
+# Rows of the report's table that are measured in a worker process.
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Return a preparation function for each row.
+    """Return a function for each row of the report's table, which prepares the calls that are timed.
 
-    It returns the timed function, whose argument is the number of the call.
+    The prepared call is a function whose argument is the number of the call.
 
     Frames have 640 × 480 pixels unless the row's name states another size. Light and camera move from frame to frame.
     """
@@ -128,7 +128,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # Each call makes a new height field, because results are cached for a height field that was used before.
+        # The package caches plans of height fields. Each call therefore makes a new height field.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options
@@ -159,7 +159,8 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
     }  # fmt: skip
 
 
-# Rows of the table that start processes, with the number of calls per round and the arguments of Python.
+# Rows of the report's table whose calls start a process, with the number of calls per round and the arguments of
+# Python.
 
 PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
     "process: first picture": (2, ["-c", COLD_START]),
@@ -170,7 +171,7 @@ PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
 
 
 def timed(call: Call, k: int) -> Seconds:
-    """Return the times of one call."""
+    """Return the wall time and the processor time of one call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call(k)
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
@@ -181,7 +182,7 @@ def work(threads: int | None) -> None:
 
     A line is the name of a row to prepare, or the number of a call.
     """
-    # Output of libraries is discarded, because it must not mix with the answers.
+    # The answers of this process go to its stdout. Output of libraries is discarded, because it would mix with them.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     with Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
@@ -192,7 +193,7 @@ def work(threads: int | None) -> None:
         text = line.strip()
         if text in rows:
             call = rows[text]()
-            # The first call is not timed, because it makes tables and loads kernels.
+            # The first call of a row is not timed, because it makes tables and loads kernels.
             call(0)
             answer = timed(call, 1)
         else:
@@ -205,7 +206,7 @@ def work(threads: int | None) -> None:
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel that is installed in an environment.
+    """A wheel that is installed in a virtual environment.
 
     Attributes:
         python: Path of the Python program of the environment.
@@ -296,19 +297,20 @@ class Row:
     pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
 
     def ratios(self, clock: str) -> list[float]:
-        """Return the ratio of the time after to the time before, one per round."""
+        """Return the ratios of times, wheel ``after`` over wheel ``before``, one per round."""
         return [
             float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
             for pairs in self.pairs
         ]
 
     def interval(self, clock: str) -> tuple[float, float, float]:
-        """Return the median ratio over the rounds, and the ends of its interval of at least 95 %."""
+        """Return the median ratio over the rounds, and the ends of its confidence interval of at least 95 %."""
         ratios = sorted(self.ratios(clock))
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # The interval from the i-th smallest to the i-th largest ratio misses the median with twice this probability.
+        # The true median lies outside of the interval from the i-th smallest to the i-th largest ratio with the
+        # probability 2 · Σ C(n, k) / 2ⁿ for k < i.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
             outside += math.comb(count, i) * 0.5**count
@@ -316,7 +318,7 @@ class Row:
         return float(np.median(ratios)), ratios[i - 1], ratios[count - i]
 
     def is_precise(self, clock: str, half_width: float) -> bool:
-        """Return whether the interval of the median ratio is within ± ``half_width``."""
+        """Return whether the confidence interval of the median ratio is at most twice ``half_width`` wide."""
         _, low, high = self.interval(clock)
         return high - low <= 2.0 * half_width
 
@@ -328,9 +330,9 @@ class Row:
 
 
 def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[Seconds, Seconds]]:
-    """Return pairs of times of two functions.
+    """Return the times of two functions that are called alternately, as pairs.
 
-    They are called alternately, ``count`` times each, with the number of the call.
+    Each function is called ``count`` times, with the number of the call as its argument.
     """
     pairs = []
     for k in range(count):
@@ -341,14 +343,14 @@ def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[S
 
 
 def add_round(before: Wheel, after: Wheel, rows: Sequence[Row], number: int) -> None:
-    """Measure one round, and add its times to the rows."""
+    """Measure each row once more for both wheels, and append the times to the rows."""
     first = number % 2
     by_workers = [row for row in rows if row.name not in PROCESS_ROWS]
     if by_workers:
         with contextlib.ExitStack() as stack:
             started = {which: stack.enter_context(Worker((before, after)[which])) for which in (first, 1 - first)}
             for row in by_workers:
-                # Both processes prepare the row at the same time. The timed calls alternate.
+                # Both processes prepare the row at the same time. The timed calls alternate between them.
                 for worker in started.values():
                     worker.ask(row.name)
                 seconds = min([worker.receive().wall for worker in started.values()])
@@ -397,7 +399,7 @@ def raw(rows: Iterable[Row]) -> dict[str, Any]:
 
 
 def warm(wheel: Wheel, text: str) -> list[str]:
-    """Compile the kernels of all rows whose names contain a text. Return the names of these rows."""
+    """Compile the kernels for all rows whose names contain a text. Return the names of these rows."""
     with Worker(wheel) as worker:
         names = [name for name in (*worker.rows, *PROCESS_ROWS) if text in name]
         for name in names:
@@ -410,7 +412,7 @@ def warm(wheel: Wheel, text: str) -> list[str]:
 
 
 def main() -> None:
-    """Compare the baseline wheel with itself, then with the other wheel."""
+    """Compare the wheel ``before`` with itself, then with the wheel ``after``."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--before", type=Path, help="Python of the environment with the baseline wheel")
     parser.add_argument("--after", type=Path, help="Python of the environment with the wheel to compare")
@@ -436,7 +438,8 @@ def main() -> None:
         return
     if options.before is None or options.after is None or options.rounds < FEWEST_ROUNDS:
         parser.error(f"--before and --after must be given, and --rounds must be at least {FEWEST_ROUNDS}")
-    # Symbolic links are not resolved, because the Python of an environment is a link to the system's Python.
+    # The Python of an environment is a link to the system's Python. If it were resolved, the packages of the
+    # environment would not be found.
     before, after = (Wheel(python.absolute(), options.threads) for python in (options.before, options.after))
     names = warm(before, options.only)
     warm(after, options.only)

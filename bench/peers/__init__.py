@@ -10,7 +10,8 @@ Programs that compute colours from scattering vectors (u, v, w) and gains:
 Each module has ``available()``, ``SETTINGS`` and ``prepare(heightfield, coherence, **setting)``. ``available()``
 returns None, or the reason why the program cannot run. ``SETTINGS`` are ordered from cheap to accurate. ``prepare``
 returns a function ``shade(scattering_vectors, gains, threads)`` that returns XYZ (n, 3). ``scattering_vectors`` (n, 3)
-and ``gains`` (n,) are float64. The first call may compile: warm up with arrays of the timed length.
+and ``gains`` (n,) are float64. The first call with a number of directions may compile the function: call it once before
+you time it.
 
 Programs that trace rays:
 

@@ -1,8 +1,9 @@
 """The published algorithm in Dr.Jit (Jakob et al. 2022), compiled for the CPU by LLVM.
 
-Directions are vectorised, wavelengths are a symbolic loop, and neighbours and terms are unrolled. The terms of a
-neighbour are loaded in packets of contiguous floats, which LLVM transposes. Horner's rule evaluates the series, and the
-table contains the factors 1/n!. This requires 10 % less time than a basis function for every term.
+Directions are vectorised, the loop over wavelengths is a loop in the compiled code, and those over neighbours and terms
+are unrolled. The terms of a coefficient are loaded in packets of contiguous floats, which LLVM transposes. Coefficients
+are stored with the factors 1/n!, so that Horner's rule can evaluate the series. This requires 10 % less time than the
+separate computation of each power.
 
 The module requires LLVM's shared library. Dr.Jit finds it by its usual names or through ``DRJIT_LIBLLVM_PATH``.
 """
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of coefficients of a series that are loaded at a time. Limit: registers.
+# Number of terms of a coefficient that are loaded at a time. Limit: number of vector registers.
 PACKET = 8
 # Number of floats per cache line. Derived: 64 bytes.
 LINE = 16
@@ -52,7 +53,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
     Returns:
         A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3). The
-        first call with an array length compiles.
+        first call with a number of directions compiles the function.
     """
     import drjit as dr
     from drjit.llvm import Float
@@ -77,7 +78,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return a float32 copy that starts at a cache line. Dr.Jit compiles again for arrays with another alignment."""
+    """Return a float32 copy that starts at a cache line. Dr.Jit compiles again if the alignment changes."""
     memory = np.empty(len(values) + LINE, dtype=np.float32)
     first = -memory.ctypes.data // memory.itemsize % LINE
     memory[first : first + len(values)] = values
@@ -85,13 +86,13 @@ def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[Any, Any, Any]:
-    """Return XYZ of directions without gains, as Dr.Jit arrays."""
+    """Return XYZ of directions without their gains, as Dr.Jit arrays."""
     import drjit as dr
     from drjit.llvm import ArrayXf, Float, Int, UInt
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # The second factor of the basis is 2πa/λ. Division by the first wavenumber gives 2πa.
+    # ``factors[:, 1]`` is 2πa/λ. Its quotient by 1/λ is 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
@@ -99,7 +100,7 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
 
     def coefficient(at: Any, x: Any) -> list[Any]:
-        """Return the real and imaginary parts of a coefficient."""
+        """Return the real and imaginary parts of the coefficients with the indices ``at``, at x = 2πaw/λ."""
         parts = []
         for part in (2 * at, 2 * at + 1):
             value = Float(0.0)

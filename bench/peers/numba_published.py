@@ -1,15 +1,16 @@
 """The published algorithm in Numba, the baseline of comparisons. Importing this module requires Numba.
 
-The sum is that of the original (Single 2014, eqs. 3.8, 3.20 and 3.24), at wavelengths equally spaced in λ from 380 to
-780 nm. At each wavelength the Taylor series is evaluated at a square of coefficients around (u, v)/λ, weighted by a
-Gaussian. The integral is a rectangle rule.
+The sum is that of the published algorithm (Single 2014, eqs. 3.8, 3.20 and 3.24), at wavelengths equally spaced in λ
+from 380 to 780 nm. At each wavelength the Taylor series is evaluated for the square of coefficients around (u, v)/λ,
+which are weighted by a Gaussian. The integral over λ is a rectangle rule.
 
 The implementation is fast for these reasons. A coefficient is two vectors of floats (real and imaginary parts), padded
-to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis (2πκa)ⁿ/n! of a wavelength is a
-row of a table times powers of w, which are computed once per direction. Positions of the neighbours and start values of
-their Gaussians are computed for all wavelengths at once, and weights within a square by recurrence. Amplitudes are
-weighted and summed before multiplication by the basis. Coefficients are prefetched some wavelengths ahead, because half
-of the time would otherwise be waiting.
+to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis (2πκa)ⁿ/n! at a wavelength is a
+row of tabulated factors times powers of w, and these powers are computed once per direction. Positions of the
+neighbours and their first Gaussian weights are computed for all wavelengths at once. The other weights of a square
+follow by recurrence. For a centred window, coefficients are weighted and summed before multiplication by the basis.
+Coefficients are prefetched some wavelengths before their use; without this, half of the time would be spent on waiting
+for memory.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of floats per cache line, which is also the width of an AVX-512 register.
+# Number of floats per cache line, and per AVX-512 register.
 LANES = 16
 # Smallest exponent whose exponential is a normal float32. Derived: ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
-# Number of directions per slice, which share temporary memory and one thread. Limit: balance between threads.
+# Number of directions that one thread computes in succession with the same temporary memory. Limit: with larger
+# numbers, threads finish at different times.
 SLICE = 16
-# Number of wavelengths by which coefficients are prefetched ahead of their use. Limit: latency of the memory.
+# Number of wavelengths between the prefetch of coefficients and their use. Limit: latency of the memory.
 AHEAD = 4
-# Settings of this peer, whose squares have at least 3 × 3 coefficients.
+# Settings of this peer. Settings with a single coefficient are excluded, because the kernel processes three at a time.
 SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"] > 0]
 
 
@@ -79,7 +81,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Return rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
+    """Return the rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows
@@ -96,7 +98,7 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 @numba.extending.intrinsic
 def _prefetch(_context, rows, row, part, lane):
-    """Prefetch the cache line of ``rows[row, part, lane]`` before its use."""
+    """Prefetch the cache line that contains ``rows[row, part, lane]``."""
 
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]
@@ -118,7 +120,7 @@ def _prefetch(_context, rows, row, part, lane):
 
 @numba.njit(fastmath=True)
 def _exp(x):
-    """Return e^x for |x| < 87 with an error of 1e-7 · (1 + |x|). A library call would prevent SIMD loops."""
+    """Return e^x for |x| < 87 with a relative error of 1e-7 · (1 + |x|). The library's exp would prevent SIMD loops."""
     turns = x * np.float32(1.4426950408889634)
     integer = np.floor(turns + np.float32(0.5))
     part = (turns - integer) * np.float32(0.6931471805599453)
@@ -133,13 +135,13 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
     """Return the compiled kernel for one number of terms and neighbours. Its loops have fixed lengths."""
     side = 2 * neighbour_extent + 1
     # Three neighbours are processed at a time. A loop with a shorter body would be unrolled before it could be
-    # vectorised. Unused entries of the last three have the weight 0.
+    # vectorised. If the number of neighbours is no multiple of three, the last entries have the weight 0.
     triples = math.ceil(side * side / 3)
     zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(neighbour_extent)
 
     @numba.njit(fastmath=True, forceinline=True)
     def sum_of_powers(rows, at, weights, factors, w_powers):
-        """Return Σ weight · |coefficient|²."""
+        """Return Σ weight · |coefficient|² over the neighbours ``at``."""
         total = zero
         for t in range(0, 3 * triples, 3):
             re_0 = im_0 = re_1 = im_1 = re_2 = im_2 = zero
@@ -158,7 +160,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(fastmath=True, forceinline=True)
     def power_of_sum(rows, at, weights, factors, w_powers):
-        """Return |Σ weight · coefficient|²."""
+        """Return |Σ weight · coefficient|² over the neighbours ``at``."""
         re = im = zero
         for t in range(0, 3 * triples, 3):
             for n in range(lanes):
@@ -198,7 +200,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
                 for n in range(lanes):
                     w_powers[n] = power
                     power *= w
-                # Positions and weights of the neighbours are computed by SIMD over wavelengths.
+                # Positions and first weights of the neighbours are computed by SIMD over wavelengths.
                 for k in range(wavelengths):
                     qy = v * wavenumbers[k]
                     qx = u * wavenumbers[k]

@@ -1,8 +1,8 @@
 """The published algorithm in NumPy.
 
 Operations are vectorised over directions and neighbours, with a loop over wavelengths. Directions are evaluated in
-chunks, large enough that NumPy's time dominates that of the interpreter. Threads run in parallel, because NumPy
-releases the interpreter's lock.
+chunks, which are large enough that the interpreter's overhead is negligible. Several chunks are evaluated in parallel
+by threads, because NumPy releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of directions that a thread evaluates at once. Limit: caches for larger arrays, the interpreter for smaller
-# ones.
+# Number of directions that a thread evaluates at once. Limit: larger arrays exceed the caches; smaller ones are
+# dominated by the interpreter's overhead.
 CHUNK = 512
 
 
@@ -63,7 +63,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return XYZ of one chunk of directions, without gains."""
     terms = made.rows.shape[2]
-    # Arrays in this function have the shape (directions, wavelengths, neighbours along one axis).
+    # Arrays of positions and weights have the shape (directions, wavelengths, neighbours along one axis).
     offsets = np.arange(-made.neighbour_extent, made.neighbour_extent + 1, dtype=np.float32)
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):

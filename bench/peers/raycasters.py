@@ -1,10 +1,10 @@
 """Camera rays of a picture by Mitsuba 3, Embree and warpdiff: rays per second, hits and normals.
 
-All programs trace the same rays to the same mesh, in the units of a prepared surface. They compute bare hits (face and
-barycentric coordinates), except for warpdiff's rasterization, which fills the whole G-buffer. Mitsuba's LLVM variant
-also uses Embree, with packets of rays. The package embreex passes single rays to Embree and releases the interpreter's
-lock, so that slices of the rays run on several threads. The reference tests every ray against every triangle in
-float64.
+All programs trace the same rays to the same mesh, in the coordinates of warpdiff's prepared mesh, which has a radius of
+1. They compute only hits (face and barycentric coordinates), except for warpdiff's rasterization ("face by face"),
+which fills the whole G-buffer. Mitsuba's LLVM variant also uses Embree, with packets of rays. The package embreex
+passes single rays to Embree. It releases the interpreter's lock, so that several threads can trace parts of the rays.
+The reference tests every ray against every triangle in float64.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ if TYPE_CHECKING:
 
 wp.set_module_options(compile_options.options())
 
-# Least cosine of normals that are compared. Limit: warpdiff rotates normals with cosines below 0.01 towards the viewer.
+# Least cosine between ray and normal at compared hits. Limit: warpdiff rotates normals with cosines below 0.01 towards
+# the viewer.
 LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """Rays of a picture, which start near the mesh, shapes (n, 3), with the mesh and the view."""
+    """Rays of a picture with its mesh and view. Origins (n, 3) lie near the mesh; directions have the shape (n, 3)."""
 
     surface: Surface
     view: wd.View
@@ -47,7 +48,7 @@ class Rays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """Mask (n,) of rays that hit the mesh, and interpolated unit normals of the hits, of either side, shape (n, 3)."""
+    """Mask (n,) of rays that hit the mesh, and interpolated unit normals (n, 3), which may point to either side."""
 
     hit: NDArray[np.bool_]
     normal: NDArray[np.float64]
@@ -56,7 +57,7 @@ class Hits(NamedTuple):
 class Caster(NamedTuple):
     """A program that traces rays.
 
-    ``trace`` traces all rays with a number of threads, and ``hits`` returns the hits of its last call.
+    ``trace(threads)`` traces all rays, and ``hits()`` returns the hits of the last call of ``trace``.
     """
 
     trace: Callable[[int], None]
@@ -81,7 +82,7 @@ def missing() -> list[str]:
 
 
 def rays_of(mesh: Any, view: wd.View) -> Rays:
-    """Return one ray through the centre of each pixel. Its start point near the mesh is computed in float64."""
+    """Return one ray through the centre of each pixel. Its origin is moved close to the mesh in float64."""
     surface = prepare_surface(mesh)
     eye = np.asarray(view.eye, dtype=np.float64)
     size = {"width": view.width, "height": view.height, "fov_y_deg": view.fov_y_deg}
@@ -104,9 +105,9 @@ def casters(rays: Rays) -> dict[str, Caster]:
 
 
 def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_]]:
-    """Return the reference hits of some rays, and a mask of reliable rays.
+    """Return the reference hits of the rays with the given indices, and a mask of rays whose hits are reliable.
 
-    A reliable ray neither passes near an edge nor grazes a face.
+    The hit is reliable if the ray neither passes near an edge nor grazes a face.
     """
     surface = rays.surface
     origins, directions = (np.float64(vectors[chosen]) for vectors in (rays.origins, rays.directions))
@@ -119,7 +120,7 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
-    """Return interpolated unit normals of faces (n,) at barycentric coordinates (n, 3), in float64; −1 is no face."""
+    """Return interpolated unit normals of hits in float64: faces (n,), −1 for a miss; barycentric coordinates."""
     normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
@@ -131,7 +132,7 @@ def query(
     # Out:
     face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
 ):  # fmt: skip
-    """Find the hit of each ray: the face, or −1, and the barycentric coordinates of its first two corners."""
+    """Find the face that each ray hits, −1 for a miss, and the barycentric coordinates of its first two corners."""
     i = first + wp.tid()
     hit = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
     face_out[i] = -1
@@ -167,7 +168,7 @@ def _faces(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = pixels.hit.numpy() == 1
-        # Normals of pixels without a hit are arbitrary, and are replaced by 0.
+        # The G-buffer has arbitrary normals at pixels without a hit, which are replaced by 0.
         return Hits(hit, np.where(hit[:, None], pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster(trace, hits)

@@ -1,8 +1,8 @@
 """Taylor series of Fourier coefficients and a quadrature in λ, shared by the peers of the published algorithm.
 
 All peers compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are equally spaced in λ. At each
-wavelength the series is evaluated at a square of coefficients around (u, v)/λ, weighted by a Gaussian. The integral
-over λ is a rectangle rule.
+wavelength the series is evaluated for the square of coefficients around (u, v)/λ, which are weighted by a Gaussian. The
+integral over λ is a rectangle rule.
 """
 
 from __future__ import annotations
@@ -24,16 +24,19 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# Largest |(u, v)| / λ [1/µm]: both directions at the horizon, at 380 nm.
+# Largest |(u, v)|/λ [1/µm]: light and view at the horizon on the same side, at 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``, in coefficients to each side. Limit: margin of the stored coefficients.
+# Largest accepted ``neighbour_extent``, in coefficients to each side. Limit: coefficients are stored up to this
+# distance beyond the largest frequency.
 MOST_REACH = 4
 
-# Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, 3 × 3 coefficients by floor(), heights not centred.
+# Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, the 3 × 3 coefficients around that found by
+# floor(), heights not centred.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
-# Settings from cheap to accurate: wavelengths, terms, neighbour extent. Heights are centred and positions rounded,
-# which gives any error at the lowest cost. For patches that are small compared with the window, the nearest coefficient
-# is sufficient.
+# Settings from cheap to accurate: numbers of wavelengths and terms, and neighbour extent. Heights are centred and
+# positions rounded, unlike in the published setting, because the same error then requires fewer terms and neighbours.
+# In the first setting, which suits patches that are small compared with the window, only the nearest coefficient is
+# used.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
     {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
@@ -43,20 +46,20 @@ SETTINGS: list[dict[str, Any]] = [
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a height field at one setting.
+    """Taylor series of the Fourier coefficients of a height field, with the quadrature over λ, for one setting.
 
     Attributes:
-        rows: Real parts of iⁿ DFT{gⁿ} for all n, then the imaginary parts, shape (my·mx, 2, terms).
+        rows: Real and imaginary parts of iⁿ DFT{gⁿ} for all n, with g = (h − offset)/a, shape (my·mx, 2, terms).
         columns: Number mx of columns of coefficients.
-        origin: Index of the order (0, 0), (y, x).
-        lengths_um: Number of coefficients per unit of frequency (y, x) [µm].
-        falloff: Exponents of the Gaussian per squared distance in coefficients (y, x).
+        origin: Row and column of the zeroth order, (y, x).
+        lengths_um: Lengths Ly and Lx [µm]; a frequency q is at the position q·L in coefficients.
+        falloff: Factors of the squared distance, in coefficients, in the exponent of the Gaussian, (y, x).
         factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is their product with wⁿ.
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: Contribution of each wavelength to XYZ, shape (m, 3).
         neighbour_extent: Number of neighbours on either side.
-        shift: Number that is added before floor(); 0.5 rounds.
-        powers: Whether coefficients are summed as powers (averaged) or as amplitudes (centred).
+        shift: Number that is added to a position before floor(): 0, or 0.5 to round.
+        powers: Whether powers |H|² are summed (averaged window), instead of amplitudes H (centred window).
     """
 
     rows: NDArray[np.float32]
@@ -76,16 +79,16 @@ def series(
     heightfield: wd.HeightField, coherence: wd.Coherence, *,
     wavelengths: int, terms: int, neighbour_extent: int, rounded: bool, centred: bool,
 ) -> Series:  # fmt: skip
-    """Transform a height field for one setting.
+    """Compute the series of a height field for one setting.
 
     Args:
         heightfield: Height field.
         coherence: An averaged or centred window.
         wavelengths: Number of wavelengths between 380 and 780 nm.
         terms: Number of terms of the Taylor series, n = 0 … terms − 1.
-        neighbour_extent: Number of neighbours on either side of the nearest coefficient, 0 to 4.
-        rounded: Whether rounding finds the nearest coefficient, instead of floor().
-        centred: Whether heights are relative to the middle of their range, instead of the lowest height.
+        neighbour_extent: Number of neighbours on either side of the central coefficient, 0 to 4.
+        rounded: Whether the central coefficient is found by rounding, instead of by floor().
+        centred: Whether heights are relative to the middle of their range, instead of to the lowest height.
 
     Returns:
         The series.
@@ -113,10 +116,9 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """Return the rows of a series and their properties.
+    """Return the rows of a series, as defined in :class:`Series`, with three properties.
 
-    The properties are the block of coefficients, the number of coefficients per unit of frequency (y, x) [µm], and the
-    scale 2πa of the basis [µm].
+    The properties are the block of coefficients, the lengths Ly and Lx [µm], and the scale 2πa of the basis [µm].
     """
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)
@@ -124,7 +126,8 @@ def rows_of(
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # A centred window lies at the centre of the patch, which changes the phases. Powers do not depend on these phases.
+    # The phases of the coefficients are those of a window in the centre of the patch. An averaged window is not
+    # affected by them.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

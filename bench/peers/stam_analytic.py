@@ -5,15 +5,15 @@ component u of the scattering vector across the tracks, only the wavelengths d|u
 has two forms.
 
 - ``"rainbow"`` is the published form. Orders have equal strength for all v. Wavelengths from 0.5 to 1 µm are coloured
-  by three parabolas, max(0, 1 − x²). A white highlight is exp(−(r u/w)²). The chapter does not define the brightness
-  and r: here the orders have the mean luminance of the exact colours of random directions, and the highlight has the
-  width of the window.
-- ``"cie"`` has the same lines and adds the omitted factors: the power |H_n0|² of each order, from the heights; the
-  Gaussian of the window across the line, integrated along it; CIE colours; and the gains.
+  by three parabolas, max(0, 1 − x²). A white highlight exp(−(r u/w)²) is added. The chapter defines neither the
+  brightness of the orders nor r: here their mean luminance is that of exact colours in random directions, and the
+  highlight is as wide as the window's lobe.
+- ``"cie"`` has the same lines with the factors that the published form omits: the power |H_n0|² of each order, computed
+  from the heights; the dependence on v by the Gaussian of the window; CIE colours; and the gains.
 
-With q = u/λ, the contribution of a line to the integral over λ is |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²). It follows
-from the averaged window's Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0 is not a line and is summed
-at eight wavelengths.
+With q = u/λ, order n contributes |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²) to the integral over λ. This is the integral of
+the averaged window's Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0 reflects all wavelengths in the
+same direction and is summed at eight of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import warpdiff as wd
 from warpdiff.optics import colorimetry
 
 try:
-    # Numba must be imported before colour-science. Without SciPy, colour-science installs a substitute for it that
+    # Numba must be imported before colour-science. Without SciPy, colour-science installs a substitute for SciPy that
     # Numba would use.
     import numba
 except ImportError:
@@ -40,16 +40,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
-# Number of diffraction orders to each side.
+# Number of diffraction orders to each side of the zeroth order.
 ORDERS = 7
-# Number of wavelengths for the order 0, and number of tabulated values of an order's power in κ = w/λ.
+# Number of wavelengths at which the zeroth order is summed, and number of values of κ at which the power of an order is
+# tabulated.
 MIRROR_WAVELENGTHS, NODES = 8, 128
-# Largest |w| / λ [1/µm], at the shortest wavelength of 0.38 µm.
+# Largest |κ| = |w|/λ [1/µm], at the shortest wavelength of 0.38 µm.
 LARGEST_KAPPA = 2.0 / 0.38
-# Centres of the red, green and blue parabolas in 2λ − 1 (λ in µm), and their inverse half-width. Origin: Stam's
-# chapter.
+# Positions of the maxima of the red, green and blue parabolas in 2λ − 1 (λ in µm), and inverse of the half-width of all
+# three. Origin: Stam's chapter.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
-# Number of random directions that calibrate the brightness. Limit: noise of the mean luminance.
+# Number of random directions in which the brightness of the rainbow is determined. Limit: noise of the mean luminance.
 CALIBRATING = 2000
 
 
@@ -61,7 +62,7 @@ def available() -> str | None:
 def grating_um(heightfield: wd.HeightField) -> float:
     """Return the grating period d along x [µm], from the strongest order.
 
-    The 1/f noise of scans is compensated.
+    Powers are multiplied by the frequency, because scans have 1/f noise.
     """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
@@ -88,7 +89,7 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # At w = 2, the highlight exp(−(r u/w)²) is the window's Gaussian at 550 nm.
+        # The factor r is such that, at w = 2, the highlight exp(−(r u/w)²) equals the window's Gaussian at 550 nm.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)
@@ -111,7 +112,7 @@ def prepare(
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
     """Return |H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
 
-    If n/d is no frequency of the patch, the power is that at the nearest frequency.
+    If n/d is not a multiple of 1/Lx, the nearest multiple is used.
     """
     orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))
@@ -122,7 +123,7 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 
 
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
-    """Return the factor that gives the rainbow's orders the mean luminance of the exact colours, without highlights."""
+    """Return the factor that gives the rainbow's orders, without highlights, the mean luminance of exact colours."""
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
     s = np.sqrt(1.0 - z * z)
@@ -135,7 +136,7 @@ def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Calla
 
 @functools.cache
 def _kernels() -> tuple[Any, Any]:
-    """Return the compiled functions of the two forms."""
+    """Return the compiled functions of the two forms, ``"rainbow"`` and ``"cie"``."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def rainbow(period, roughness, to_xyz, scale, scattering_vectors, gains, xyz_out):
@@ -143,7 +144,7 @@ def _kernels() -> tuple[Any, Any]:
             u, w = abs(scattering_vectors[i, 0]), scattering_vectors[i, 2]
             red = green = blue = 0.0
             for n in range(1, ORDERS + 1):
-                # Wavelengths from 0.5 to 1 µm are mapped to 0 to 1.
+                # Wavelengths from 0.5 to 1 µm are mapped to the range from 0 to 1, in which the parabolas are defined.
                 at = 2.0 * period * u / n - 1.0
                 red += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[0])) ** 2)
                 green += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[1])) ** 2)
@@ -175,7 +176,8 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # The weight of an order in the integral over λ is in nm, like the steps of the colour products.
+                # This length is the integral of the Gaussian over λ in nm, because the colour products have steps of 1
+                # nm.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

@@ -1,8 +1,8 @@
 """Cold start: time of a new process to import the package, and to its first picture.
 
 A process imports the package, makes synthetic fingers of 25.6 µm and a tube, renders and saves a picture of 640 × 480
-pixels, and ends. Processes with an empty kernel cache and with a filled one alternate. Plotting libraries are hidden,
-because colour-science would import them if they are installed.
+pixels, and ends. Processes with an empty kernel cache and with a filled one are timed alternately. Plotting libraries
+are hidden from the process, because colour-science would otherwise import them if they are installed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
     "first picture, kernels compiled before": PICTURE,
 }  # fmt: skip
-# Program that times the preparation of a scan and prints its peak memory. The libraries alone require about 240 MiB.
+# Program that times plan and tables of a scan and prints the peak memory. The imported libraries alone require about
+# 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -46,7 +47,7 @@ PRECOMPUTE = HIDE + (
 
 
 def precompute(scan: Path) -> None:
-    """Print the preparation time and peak memory of a scan, in a process whose kernels are already compiled."""
+    """Print the time and peak memory of plan and tables of a scan, in a process whose kernels are already compiled."""
     print("\n| scan | s | peak memory [MiB] |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
@@ -68,7 +69,7 @@ def seconds(code: str, cache: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Time all kinds of processes and print a table."""
+    """Time all kinds of processes and print a table of the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scan", type=Path, help="file of a scan with 1332 × 1332 samples to time")
     options = parser.parse_args()

@@ -1,10 +1,10 @@
-"""Errors of pictures, on crops of many bodies, against a regular grid of points per pixel under the pixel filter.
+"""Errors of pictures on small crops of many bodies, relative to a grid of points per pixel under the pixel filter.
 
 A crop has 24 × 18 pixels with the pixel size of a 640 × 480 picture, around a random illuminated pixel. Its reference
-is a picture of points, 96 × 96 per pixel, under the Gaussian pixel filter (σ = 0.5 pixels, truncated at 1.5). A coarser
-reference shows whether it has converged. The floor f of errors is that of the whole picture. Errors are evaluated on
-interior pixels, whose points all hit the body and are illuminated. Edges between parts of a body are included, and so
-are the outermost pixels. Use a held-out seed.
+is the mean of 96 × 96 points per pixel under the Gaussian pixel filter (σ = 0.5 pixels, truncated at 1.5). A second
+reference with 64 × 64 points shows whether the first has converged. The floor f of errors is that of the whole picture.
+Errors are evaluated on interior pixels, whose points all hit the body and are illuminated. Such pixels may contain
+edges between parts of a body, and may lie at the border of the crop. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# Size of a crop, and width of the margin for the filter of its outermost pixels [pixels].
+# Size of a crop, and width of the margin [pixels] that the pixel filter requires around it.
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
 # Size of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
-# Number of points along each axis of a pixel: of the reference, and of the coarser reference that checks its
+# Number of points along each axis of a pixel in the reference, and in the coarser reference that checks its
 # convergence.
 POINTS, FEWER = 96, 64
 # Standard deviation and truncation of the pixel filter [pixels].
 DEVIATION, CUT = 0.5, 1.5
-# Tolerance of the reference's points, relative to the tolerance of the picture.
+# Tolerance of the colours of the reference's points, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
 # Directions to the eye, from above and grazing, with the field of view [degrees] and the distance [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
-# Share of the pixels of the whole picture that may clip where colours are compared.
+# Share of the picture's pixels that are brighter than display white at the exposure of the colour differences ΔE2000.
 CLIPPED = 1e-3
-# Factors that multiply the distance between the eye and the crop.
+# Distances of the eye from the crop, relative to its distance in the whole picture.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
 class Crop(NamedTuple):
-    """A crop: a few pixels of a picture, with its scene."""
+    """A crop: the mesh, height field, light and camera of a picture of a few pixels."""
 
     name: str
     mesh: Any
@@ -98,7 +98,7 @@ def bodies(data: str | None) -> dict[str, Callable[[], Any]]:
 
 
 def lumpy(subdivisions: int) -> Any:
-    """Return a ball with lumps and 20 · 4ⁿ faces."""
+    """Return a ball with lumps and 20 · 4ⁿ faces, where n is ``subdivisions``."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     x, y, z = mesh.vertices.T
     mesh.vertices *= (1.0 + 0.12 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y) + 0.08 * np.cos(6.0 * z))[:, None]
@@ -106,9 +106,9 @@ def lumpy(subdivisions: int) -> Any:
 
 
 def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
-    """Return a mesh with texture coordinates, where u runs around the axis.
+    """Return a mesh with texture coordinates, where u increases by 1 around the z-axis.
 
-    Faces across the seam get separate corners.
+    Faces that cross the seam get corners of their own, with u beyond 1.
     """
     faces, vertices = np.array(mesh.faces), np.asarray(mesh.vertices)
     across = np.ptp(uv[faces, 0], axis=1) > 0.5
@@ -134,7 +134,7 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """Return a crop around a random illuminated pixel whose luminance is at least ``least`` times that of the white."""
+    """Return a crop around a random illuminated pixel, whose Y is at least ``least`` times Y* of the picture."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -144,7 +144,7 @@ def crop(
     image = wd.shade(mesh, heightfield, light, view, tolerance=0.1, pigment=0.0)
     luminance = image.xyz[..., 1].astype(np.float64)
     white, brightest = reference_luminance(luminance[image.illuminated]), float(np.quantile(luminance, 1.0 - CLIPPED))
-    # Only completely covered pixels are chosen, because the centre ray of a partly covered pixel may miss the body.
+    # A pixel is chosen only if it is completely covered: the central ray of a partly covered pixel may miss the body.
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
@@ -158,13 +158,13 @@ def crop(
 
 
 def truth(area: Crop, tolerance: float) -> Truth:
-    """Return the reference of a crop, with its difference from a coarser reference."""
+    """Return the reference of a crop, with its difference from the coarser reference."""
     fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
     return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return the reference of a crop from ``points`` × ``points`` points per pixel."""
+    """Return the filtered mean of ``points`` × ``points`` points per pixel of a crop."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
@@ -186,7 +186,7 @@ def filtered(area: Crop, tolerance: float, points: int) -> Truth:
 
 
 def _filter(size: int, points: int) -> np.ndarray:
-    """Return the weights of points along an axis, (size, (size + 2 MARGIN) · points), which sum to 1 per pixel."""
+    """Return filter weights of points along an axis, shape (size, (size + 2 MARGIN) · points); their sum is 1."""
     places = (np.arange((size + 2 * MARGIN) * points) + 0.5) / points
     away = places - (np.arange(size)[:, None] + MARGIN + 0.5)
     weights = np.where(np.abs(away) <= CUT, np.exp(-0.5 * (away / DEVIATION) ** 2), 0.0)
@@ -194,11 +194,11 @@ def _filter(size: int, points: int) -> np.ndarray:
 
 
 def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
-    """Return the errors of a picture of a crop."""
+    """Return the errors of a picture of a crop relative to the crop's reference."""
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # The estimated error is relative to the crop's own reference luminance.
+    # ``image.error`` is relative to the reference luminance of the crop, and is converted to that of the whole picture.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
@@ -232,7 +232,7 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
 
 
 def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
-    """Print for whole pictures around crops whether they warn."""
+    """Print whether whole pictures from the cameras of the crops cause a warning."""
     print("| body | surface | distance | tolerance | unconverged | at edges | warns |\n" + "| --- " * 7 + "|")
     warned: list[bool] = []
     for area in crops(names, fields, seed):
@@ -300,7 +300,7 @@ def main() -> None:
 
 
 def _estimates(errors: Errors) -> str:
-    """Return a text that compares estimated with actual errors: share of bounded errors, and ratio of sums."""
+    """Return two table cells: share of errors below the estimate, and sum of estimates over sum of errors."""
     actual, estimated = errors.interior, errors.estimated
     bounded = 100.0 * np.mean(actual <= estimated) if len(actual) else math.nan
     return f"{bounded:.0f} % | {estimated.sum() / max(actual.sum(), 1e-30):.1f}"

@@ -1,8 +1,8 @@
 """Errors of pictures under disc lights and environments, against sums over directions with shadows.
 
-``--sizes`` compares disc lights in random cases with sums over points of their discs. ``--skies`` compares environments
-with sums over directions. The sums share no code with the library's lights (``bench/truth/sky_sums.py``). ``--picture``
-saves the README's picture of a snake under a sky.
+``--sizes`` compares pictures under disc lights in random cases with sums over points of the discs. ``--skies`` compares
+pictures under environments with sums over all directions. The sums (``bench/truth/sky_sums.py``) share no code with the
+library's lights. ``--picture`` saves the README's picture of a snake under a sky.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
-    """Yield random cases: name, sky, mesh, height field, view and σ of the window [µm]."""
+    """Yield random cases: name, environment, mesh, height field, view and σ of the window [µm]."""
     rng = np.random.default_rng(seed)
     scan = inputs.levelled_scan()
     bodies: dict[str, Callable[[], Any]] = {
@@ -101,7 +101,7 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
     """Return errors of colours (n, 3) as defined for ``tolerance``.
 
-    ``bright`` is the 99th percentile of the picture's Y.
+    ``bright`` is the 99th percentile of Y over the whole picture.
     """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
@@ -113,11 +113,11 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
 
 
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print the errors of disc lights ("light") or environments ("sky") in random cases, against sums over directions.
+    """Print errors of pictures under disc lights ("light") or environments ("sky") in random cases, relative to sums.
 
-    The sums have at least (32 ``across``)² rays per pixel. Further columns are the error of the sums, ``image.error``
-    at the same percentiles, and the time of a frame. One column has the number of pixels beyond the tolerance, and how
-    many of these ``image.error`` reports.
+    The sums have at least (32 ``across``)² rays per pixel, and their own errors are in a separate row. Columns have the
+    percentiles of the errors and of ``image.error``, the time of a frame, the number of pixels with errors above the
+    tolerance, and the number of these for which ``image.error`` is above the tolerance, too.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))
@@ -131,7 +131,7 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
             summed = functools.partial(sums.under_sky, sky=grey)
             _judge(name, inside, summed, 32 * across, seed, tolerances, options=options)
             continue
-        # The light comes from near the eye or from the side.
+        # The direction to the light is that to the eye plus a random vector with components from −0.7 to 0.7.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]
@@ -144,7 +144,7 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print the errors of pictures with ``options`` against converged sums, and their estimated errors."""
+    """Print the errors of pictures with ``options``, relative to sums over directions, and their estimated errors."""
     if not len(chosen):
         print(f"| {name} | 0 | no pixel is completely covered by the mesh |" + " |" * 6)
         return
@@ -161,7 +161,7 @@ def _judge(
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         seconds = time.perf_counter() - begin
-        # All chosen pixels may be darker than the luminance to which the tolerance of the picture is relative.
+        # Errors are relative to the luminance of the whole picture. All chosen pixels may be darker.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance
@@ -177,7 +177,7 @@ def converged_means(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return means of four sums, their standard errors, and the least number of rays per pixel.
 
-    Where the standard error is too large, the sums are repeated with four and sixteen times as many rays.
+    For pixels with a standard error above ``bound``, the sums are repeated with four and sixteen times as many rays.
     """
     sets = np.zeros((4, len(chosen), 3))
     spread = np.zeros(len(chosen))

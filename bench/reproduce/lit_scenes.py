@@ -1,10 +1,10 @@
 """Errors and times of pictures under skies, disc lights and many lights, on bodies that shadow themselves.
 
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
-shadows (``bench/truth/sky_sums.py``). A row has the errors of a picture in tolerances, its processor time relative to
-one directional light, the number of pixels with an error above the tolerance, and the number of these that
-``image.error`` reports. Rows with many lights, such as ``tube_scan_16lights``, are compared with the sum of single
-pictures at an eighth of the tolerance.
+shadows (``bench/truth/sky_sums.py``). A row has the errors of a picture relative to its tolerance, its processor time
+relative to that with one directional light, the number of pixels with an error above the tolerance, and the number of
+these for which ``image.error`` is above the tolerance, too. The reference of pictures with many lights, such as
+``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of the tolerance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bench.reproduce.lights import converged_means, distances, sky
 from bench.truth.sky_sums import SkySums
 
 SIZE = {"width": 240, "height": 130}
-# Direction to the disc lights.
+# Direction to the disc lights of all scenes except the plate.
 TOWARDS = (0.6, 1.0, -0.1)
 CASES = [
     *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
@@ -35,7 +35,7 @@ CASES = [
 
 
 def plate() -> trimesh.Trimesh:
-    """Return a mesh of a plate above a floor that it shadows."""
+    """Return a mesh of a horizontal plate above a larger floor, on which it casts a shadow."""
     parts = []
     for half, height in ((1.0, 0.0), (0.3, 0.4)):
         corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=float)
@@ -85,7 +85,7 @@ def many_lights(count: int) -> list[wd.DirectionalLight]:
 
 
 def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any], wd.View, dict[str, Any]]:
-    """Return a function that makes the body, the height field, the lights, the view and the options of a case."""
+    """Return mesh function, height field, lights, view and options of a case, such as "tube_scan_sun"."""
     scene, surface, name = case.split("_")
     make, view = SCENES[scene]
     if surface == "scan":
@@ -111,7 +111,7 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random interior pixels, their XYZ under a disc light or a sky, and a mask of the converged ones."""
+    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask of converged pixels."""
     places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
 
     def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:
@@ -166,10 +166,11 @@ def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
 
 
 def flicker(case: str, *, tolerance: float, frames: int) -> None:
-    """Print the flicker of a sequence of frames, in tolerances.
+    """Print the flicker of a sequence of frames, relative to the tolerance.
 
-    Flicker is the error of the difference between neighbouring frames, relative to frames at a fifth of the tolerance.
-    It includes pixels that only the body covers in both frames. The camera moves by 1/48 of a turn per frame.
+    Flicker is the error of the change of a pixel's colour from one frame to the next. The reference is the change
+    between the same frames at a fifth of the tolerance. Only pixels that the body covers completely in both frames are
+    included. The camera moves by 1/48 of a turn per frame.
     """
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, differences = make(), []

@@ -1,11 +1,11 @@
-"""Comparison of skies and disc lights with Mitsuba 3 and the library's plug-in: processor time at equal errors.
+"""Comparison of the library with its BSDF in Mitsuba 3, under skies and disc lights: processor time at equal errors.
 
 ``python -m bench.reproduce.mitsuba_skies`` renders scenes of ``lit_scenes`` with both programs. Sums over directions
-(``bench/truth/sky_sums.py``) are the reference for both. Each row has the errors of the library's picture in tolerances
-and its processor time, followed by the errors and times of Mitsuba by number of paths. The next columns are the ratio
-of Mitsuba's time to the library's at equal P90 and at equal P99, interpolated between numbers of paths. The last column
-is the ratio of Mitsuba's sum of Y to the reference's. Times exclude preparation: plans and tables in the library, the
-baked spectrum and compilation in Mitsuba.
+(``bench/truth/sky_sums.py``) are the reference for both. Each row has the errors of the library's picture relative to
+its tolerance, and its processor time. Errors and times of Mitsuba follow, for several numbers of paths per pixel. The
+next columns are the ratio of Mitsuba's time to the library's at equal P90 and at equal P99 of the errors, interpolated
+between numbers of paths. The last column is the ratio of Mitsuba's sum of Y to the reference's. Times exclude the
+preparation: plans and tables of the library, and for Mitsuba the baked spectrum and compilation.
 
 The script requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
 """
@@ -31,12 +31,12 @@ from warpdiff.optics import colorimetry, reflectance_factors
 CASES = ["whole_sun", "whole_nosun", "whole_room", "close_sun", "close_room", "coils_sun", "tube_room", "whole_10"]
 COHERENCE = wd.Coherence(sigma_um=16.25)
 WAVELENGTHS_NM = np.arange(380.0, 781.0)
-# Reflectance at normal incidence for the plug-in's index of refraction of 1.5. The library's pictures are relative to
-# it.
+# Reflectance at normal incidence for an index of refraction of 1.5. Mitsuba's pictures include it, while those of the
+# library are relative to it.
 NORMAL_REFLECTANCE = 0.04
 # Number of texels along each axis of the baked spectrum. Limit: memory; fewer texels blur the spectrum.
 SPECTRUM_SIZE = 1024
-# Largest number of paths per pixel of one launch. Limit: memory.
+# Largest number of paths per pixel in one call of Mitsuba. Limit: memory.
 PATHS_OF_LAUNCH = 16
 
 
@@ -125,7 +125,7 @@ def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: a
 
 
 def measured(draw: Any) -> float:
-    """Return the median processor time of three draws [s]."""
+    """Return the processor time of a picture [s], the median of three."""
     times = []
     for _ in range(3):
         begin = time.process_time()
@@ -135,9 +135,9 @@ def measured(draw: Any) -> float:
 
 
 def equal_error_time(rows: list[tuple[int, np.ndarray, float]], k: int, error: float) -> float:
-    """Return Mitsuba's time for an error, interpolated linearly in logarithms.
+    """Return the time in which Mitsuba reaches an error, by linear interpolation of the logarithms of time and error.
 
-    The time is infinite if no number of paths reaches the error.
+    ``k`` selects the percentile of the errors. The time is infinite if no number of paths reaches the error.
     """
     errors, times = (np.log([row[1][k] for row in rows]), np.log([row[2] for row in rows]))
     reached = np.flatnonzero(errors <= np.log(error))
@@ -180,13 +180,13 @@ def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
 
 
 def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
-    """Return Mitsuba's environment emitter. Its middle column is half a turn away from the library's."""
+    """Return Mitsuba's environment emitter. The middle column of its map is half a turn from that of the library."""
     rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}
 
 
 def disc_emitter(mi: Any, light: wd.DirectionalLight) -> dict[str, Any]:
-    """Return a distant disc emitter. Its radiance times its solid angle equals the library's light under D65."""
+    """Return a distant disc emitter whose irradiance equals that of the library's disc light under D65."""
     half = np.radians(light.angular_diameter_deg / 2.0)
     towards = np.asarray(light.to_light) / np.linalg.norm(light.to_light)
     distance = 200.0

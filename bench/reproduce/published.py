@@ -1,15 +1,15 @@
-"""Comparison of the published algorithm with the automatic plan on one frame, at equal cost and at equal error.
+"""Comparison of the published algorithm with the automatic plan on one picture, at equal time and at equal error.
 
-The frame is the tube with the levelled 65 µm scan. Both methods evaluate the same directions of a stratified sample of
-its illuminated pixels. Errors are relative to the float64 reference: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with
-Y >= f, with f from ``errors``. Times are those of calls with prepared tables on a larger sample, as medians of
-interleaved rounds.
+The picture shows the tube with the levelled 65 µm scan. Both methods evaluate the same directions, those of a
+stratified sample of its illuminated pixels. Errors are relative to the float64 reference: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f)
+over the pixels with Y >= f, with f from ``errors``. Times are those of calls with prepared tables on a larger sample of
+pixels, as medians of interleaved rounds.
 
 The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
-heights that are not centred, 3 × 3 coefficients around the one that floor() selects, and a rectangle rule, in Numba. It
-is refined until it reaches the error of the automatic choice, in two ways: with its 37 terms, and with the cheapest
-combination of wavelengths, neighbours and terms, with heights centred or not. The table also lists rounding, which the
-published setting does not use.
+heights that are not centred, 3 × 3 coefficients around the one that floor() selects, and a rectangle rule, in Numba.
+Finer settings of the algorithm reach the error of the automatic plan. Two of them are compared: the cheapest with the
+published 37 terms, and the cheapest of all combinations of wavelengths, neighbours and terms, with heights centred or
+not. The printed table also has the published setting with rounding instead of floor().
 """
 
 from __future__ import annotations
@@ -34,18 +34,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Finer settings of the published algorithm: numbers of wavelengths in quarter octaves, and numbers of terms.
+# Settings of the published algorithm that are searched: numbers of wavelengths in quarter octaves, and numbers of
+# terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Largest neighbour extent by kind of coherence. Limit: beyond it the Gaussian's recurrence starts below the smallest
-# float32, and its tail is below rounding errors.
+# Largest neighbour extent by kind of coherence. Limit: with larger extents, the first weight of the Gaussian's
+# recurrence would be below the smallest float32; coefficients at that distance contribute less than rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
-# Number of settings with the fewest multiply-adds that are timed.
+# Number of settings that are timed, those with the fewest multiply-adds.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
 # Tolerance of the reference. Limit: small compared with the errors of the compared settings.
 TRUTH = 1e-3
-# Width of the frame [pixels], number of timed pixels, and number of timed rounds.
+# Width of the picture [pixels], number of timed pixels, and number of timed rounds.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
@@ -60,12 +61,12 @@ class Setting(NamedTuple):
 
     @property
     def as_published(self) -> bool:
-        """Return whether the series is the published one."""
+        """Return whether terms and centring, which define the series, are those of the published setting."""
         return self.terms == Setting().terms and not self.centred
 
     @property
     def multiply_adds(self) -> float:
-        """Return the number of multiply-adds per pixel and part (real or imaginary) of an amplitude."""
+        """Return the number of multiply-adds per pixel for the real or the imaginary parts of all amplitudes."""
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
     def __str__(self) -> str:
@@ -73,12 +74,12 @@ class Setting(NamedTuple):
 
 
 def refined(error_of: Callable[[Setting], float], most: int, target: float) -> tuple[list[Setting], float]:
-    """Return the settings with the fewest multiply-adds that reach an error, and the least error of all settings.
+    """Return settings that reach a target error with the fewest multiply-adds, and the least error of all tried.
 
-    The settings include the cheapest one with the published series. The error decreases with each number if the others
-    are constant. For centred and uncentred heights, the candidates are the two smallest sufficient numbers of terms and
-    the published number. Each is combined with each sufficient number of neighbours. Bisection then finds the smallest
-    sufficient number of wavelengths.
+    The cheapest setting with the published series is included. The search assumes that the error decreases with each of
+    the numbers if the others are constant. For centred and for uncentred heights, it tries the two smallest sufficient
+    numbers of terms, and the published number. Each is combined with each sufficient number of neighbours. Bisection
+    then finds the smallest sufficient number of wavelengths.
     """
     successes: list[Setting] = []
     found: list[float] = []
@@ -115,7 +116,7 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings for one kind of coherence, and print a table and the comparisons."""
+    """Measure and time all settings for one kind of coherence, and print their table and the two comparisons."""
     heightfield, device, threads = scene.heightfield, resolve_device(None), resolve_threads(None)
     whole, _ = scene.directions(coherence, WIDTH)
     every = np.ones(len(whole.gains), dtype=bool)

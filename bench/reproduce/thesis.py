@@ -1,12 +1,13 @@
-"""The published evaluation, reproduced: periods measured by diffraction, maps and renderings, one figure each.
+"""The figures of the publication, reproduced: periods measured by diffraction, reflectance maps and renderings.
 
 Single, *An Interactive Shader for Natural Diffraction Gratings* (Bern 2014), is compared with this library. The tables
-contain the published numbers, and ``variants`` computes the published methods. The report ``report.md`` is
-``thesis.md`` with the tables. It states and explains the differences below each figure.
+contain the published numbers next to those of this library and of the published methods, which ``variants`` computes.
+The report ``report.md`` is the text of ``thesis.md`` with the tables inserted. Below each figure it explains the
+differences.
 
-Periods are measured at an angle of incidence of 75°. At each of 401 wavelengths, the view angle of the brightest first
-order is searched on a grid. The grating equation then gives a period, d = λ/(sin θi + sin θr). The tables contain its
-mean and variance over the wavelengths. Masking is off, because it shifts peaks.
+Periods are measured at an angle of incidence of 75°. At each of 401 wavelengths, the view angle at which the first
+order is brightest is searched on a grid of angles. The grating equation then gives a period, d = λ/(sin θi + sin θr).
+The tables contain its mean and variance over the wavelengths. Masking is off, because it shifts the brightest angle.
 """
 
 from __future__ import annotations
@@ -37,18 +38,19 @@ if TYPE_CHECKING:
     Table = list[list[str]]
 
 WAVELENGTHS = np.arange(380.0, 781.0)
-# Text of the report, without its tables.
+# Text of the report, into which the tables are inserted.
 TEXT = Path(__file__).with_suffix(".md")
 # Angle of incidence from the normal [degrees]. Origin: as published.
 INCIDENCE_DEG = 75.0
-# Step of the view angles [degrees]. It corresponds to 0.4 nm of the period at a wavelength of 380 nm.
+# Step of the view angles [degrees]. A step changes the measured period by 0.4 nm at a wavelength of 380 nm.
 GRID_DEG = 0.0025
-# Search range of the period, as a factor of the expected period. Limit: the second order would appear as half the
-# period.
+# Factor by which a measured period may differ from the expected one. Limit: with a factor of 2, the second order would
+# be found as the first order of half the period.
 SOUGHT = 1.3
 # Period of the blazed grating, and expected period of the scan [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Published periods by surface and kind of sum: means and variances over the wavelengths [nm, nm²].
+# Published periods by surface and kind of sum (over all coefficients, or of periods): mean and variance over the
+# wavelengths [nm, nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
@@ -81,9 +83,9 @@ class Setup:
         return None if self.raw is None else self.raw.levelled(order=2)
 
     def pixels(self, count: int) -> int:
-        """Return an odd size in pixels, a third of it if quick.
+        """Return an odd size of a picture near ``count`` pixels, or near a third of it if quick.
 
-        With an odd size, a map has a row in the plane of incidence.
+        With an odd size, the middle row of a map lies in the plane of incidence.
         """
         return (count // 3 if self.quick else count) | 1
 
@@ -107,13 +109,13 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of the first order for ``count`` equally spaced periods between two periods [nm]."""
+    """Return view angles [degrees] of first orders, for ``count`` equally spaced periods between two limits [nm]."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
 
 def periods_at(angles_deg: Floats, wavelengths_nm: Floats) -> Floats:
-    """Return the periods d = λ/(sin θi + sin θr) [nm] from the angles of the first order."""
+    """Return the periods d = λ/(sin θi + sin θr) [nm] for view angles [degrees] of the first order."""
     return wavelengths_nm / (math.sin(math.radians(INCIDENCE_DEG)) + np.sin(np.radians(angles_deg)))
 
 
@@ -121,16 +123,16 @@ def first_order(
     reflectance: Callable[[Floats, Floats, Floats], Floats], expected_um: float, *,
     wavelengths_nm: Floats = WAVELENGTHS, grid_deg: float = GRID_DEG,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Find the brightest first order at each wavelength.
+    """Find the view angle at which the first order is brightest, at each wavelength.
 
     Args:
-        reflectance: ρ(to_light, to_view, wavelengths_nm), shape (n, m).
+        reflectance: Function of ``to_light``, ``to_view`` and ``wavelengths_nm`` that returns ρ, shape (n, m).
         expected_um: Expected period [µm].
         wavelengths_nm: Wavelengths [nm], shape (m,).
         grid_deg: Step of the view angles [degrees].
 
     Returns:
-        View angles [degrees], (n,); ρ, (n, m); view angles of the largest ρ [degrees], (m,).
+        View angles of the grid [degrees], (n,); ρ, (n, m); view angles with the largest ρ [degrees], (m,).
     """
     sines = wavelengths_nm[[0, -1]] * 1e-3 / expected_um * (1.0 / SOUGHT, SOUGHT)
     low, high = np.degrees(np.arcsin(sines - math.sin(math.radians(INCIDENCE_DEG))))
@@ -144,7 +146,7 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return a function for :func:`first_order` that computes ρ by the library.
+    """Return a function that computes ρ by the library, as an argument of :func:`first_order`.
 
     ``opposite`` rotates light and views by 180° about the normal.
     """
@@ -160,12 +162,12 @@ def blazed() -> wd.HeightField:
 
 
 def blazed_period(**options: Any) -> Floats:
-    """Return measured periods [nm] of the blazed grating; options are those of ``wd.spectral_reflectance``."""
+    """Return the measured periods of the blazed grating [nm]. ``options`` are those of ``wd.spectral_reflectance``."""
     return periods_at(first_order(library(blazed(), **options), BLAZED_UM)[2], WAVELENGTHS)
 
 
 def written(periods: Floats) -> str:
-    """Return a text with the mean and variance of periods, in the published format."""
+    """Return a text with the mean and variance of periods, as the publication formats them."""
     return f"{periods.mean():.3f} ({periods.var():.3f})"
 
 
@@ -175,7 +177,7 @@ def written(periods: Floats) -> str:
 def methods_of(
     heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
-    """Return the compared methods by name: kind of published number, function of ρ, and grid step [degrees]."""
+    """Return the compared methods by name: key in ``PUBLISHED``, function for ρ, and step of angles [degrees]."""
     repeated = wd.Coherence("replicas", periods=periods)
     many = f"{periods[0]} × {periods[1]} periods"
     other = library(heightfield, opposite=True, strict=False)
@@ -204,7 +206,7 @@ def period_figure(
     setup: Setup, name: str, heightfield: wd.HeightField, expected_um: float, shown: list[str], *,
     counts: tuple[int, int], raw: wd.HeightField | None = None,
 ) -> Table:  # fmt: skip
-    """Draw reflectance over wavelength and angle for the shown methods. Return the table of all methods."""
+    """Draw ρ over wavelength and view angle for the methods in ``shown``. Return a table of periods of all methods."""
     from matplotlib import pyplot as plt
 
     wavelengths = WAVELENGTHS[::20] if setup.quick else WAVELENGTHS
@@ -235,19 +237,19 @@ def period_figure(
 
 
 def blazed_periods(setup: Setup) -> Table:
-    """Draw the periods of the blazed grating."""
+    """Draw the measurement of the blazed grating's period. Return a table of the periods by all methods."""
     shown = ["averaged, low-rank", FLOOR, "1 × 26 periods, exact", "1 × 26 periods, linear"]
     return period_figure(setup, "blazed", blazed(), BLAZED_UM, shown, counts=(1, 26))
 
 
 def scan_periods(setup: Setup) -> Table:
-    """Draw the periods of the scan."""
+    """Draw the measurement of the scan's period. Return a table of the periods by all methods."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 periods, linear"]
     return period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, counts=(1, 1), raw=setup.raw)
 
 
 def scan_windows(setup: Setup) -> Table:
-    """Draw the first-order period under windows at positions all over the scan."""
+    """Draw the period measured under one centred window, for windows at many positions. Return a table of quantiles."""
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
@@ -301,13 +303,13 @@ def scan_windows(setup: Setup) -> Table:
 # Figures of reflectance maps.
 
 
-# Exposures of maps, the same as in the demonstration. One-dimensional gratings reflect all light into a line and have a
-# smaller exposure.
+# Exposures of reflectance maps, which equal those of the demonstration. One-dimensional gratings reflect all light into
+# one line of the map, and have the smaller exposure `LINE`.
 LINE, AREA = 0.04, 3.0
 
 
 def mean_map(setup: Setup, heightfield: wd.HeightField) -> Floats:
-    """Return XYZ of a map, with NaN outside. Each pixel is the mean of 3 × 3 directions, or one direction if quick."""
+    """Return XYZ of a map, NaN outside of the unit disc. A pixel is the mean of 9 directions, or of one if quick."""
     samples = 1 if setup.quick else 9
     image = wd.reflectance_map(heightfield, (0.0, 0.0, 1.0), size=setup.pixels(300), samples_per_pixel=samples)
     return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
@@ -355,7 +357,7 @@ def map_gratings(setup: Setup) -> Table:
 # Figures of rendered bodies.
 
 
-# Exposure of rendered bodies, relative to that of maps.
+# Exposure of rendered bodies, relative to that of reflectance maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
 # Point on the snake's back at which a diffraction order is visible.
@@ -387,7 +389,7 @@ def save(setup: Setup, figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-# Functions that draw a figure and return its table, and those of them that require the scan.
+# Functions that draw a figure and return its table. `OF_THE_SCAN` has those that require the scan.
 FIGURES: tuple[Callable[[Setup], Table], ...] = (blazed_periods, scan_periods, scan_windows, map_gratings, render_zoom)
 OF_THE_SCAN = (scan_periods, scan_windows)
 

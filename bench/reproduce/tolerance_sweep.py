@@ -1,9 +1,9 @@
-"""Errors of random calls against the float64 reference, on directions that their plans never read.
+"""Errors of random calls against the float64 reference, on directions that were not used to make their plans.
 
-A stratum is a kind of coherence at one tolerance, or a kind of call: a list of directions (few, some, many), a grid in
-row order, a reflectance map, a frame. The error of a call is the larger of two 99th percentiles of the relative error:
-over all its directions, and over the bright ones. A call that raises an exception counts as a miss. Use a held-out
-seed.
+Calls are grouped in strata: a stratum is a kind of coherence at one tolerance, or a kind of call (a list of few, some
+or many directions; a grid of directions in row order; a reflectance map; a frame). The error of a call is the larger of
+two 99th percentiles of the relative error: over all its directions, and over the bright ones (Y >= f). A call that
+raises an exception counts as one that misses its tolerance. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ import warpdiff as wd
 from bench import inputs
 from bench.truth import configurations, judge
 
-# Targets of the sweep. `SHARE` and `STRATUM_SHARE` are the least shares of calls that meet the tolerance, in total and
-# per stratum. `BEYOND` is the largest accepted error over tolerance, and `WARNED` the largest share of calls that warn.
-# At least `PREDICTED_SHARE` of predicted errors must be between the multiples `PREDICTED` of the measured errors.
-# Errors below `COUNTS_FROM` tolerances are excluded.
+# Targets of the sweep. `SHARE` and `STRATUM_SHARE` are the least shares of calls that meet the tolerance: of all calls,
+# and of each stratum. `BEYOND` is the largest accepted ratio of error to tolerance, and `WARNED` the largest share of
+# calls that warn. In at least `PREDICTED_SHARE` of the calls, the ratio of predicted to measured error must be between
+# the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` tolerances are excluded from this share.
 SHARE, STRATUM_SHARE, BEYOND, WARNED = 0.99, 0.95, 3.0, 0.02
 PREDICTED, PREDICTED_SHARE, COUNTS_FROM = (0.5, 10.0), 0.95, 0.01
 
@@ -54,12 +54,12 @@ class Outcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Error over tolerance, by which the call is judged."""
+        """Ratio of the call's error to its tolerance; the error is the larger P99 of all and of bright directions."""
         return max(self.overall, self.bright)
 
     @property
     def margin(self) -> float | None:
-        """Predicted over measured error, or None if the measured error is too small to count."""
+        """Ratio of predicted to measured error, or None if the measured error is below ``COUNTS_FROM`` tolerances."""
         measured = max(self.bright, self.dim)
         return self.predicted / measured if COUNTS_FROM <= measured < np.inf else None
 
@@ -115,7 +115,7 @@ def within(outcomes: list[Outcome]) -> float:
 
 
 def share_predicted(outcomes: list[Outcome]) -> float:
-    """Return the share of predicted errors that are near the measured errors (see ``PREDICTED``)."""
+    """Return the share of calls whose ratio of predicted to measured error is in the range ``PREDICTED``."""
     margins = [outcome.margin for outcome in outcomes if outcome.margin is not None]
     return float(np.mean([PREDICTED[0] <= margin <= PREDICTED[1] for margin in margins])) if margins else 1.0
 
@@ -147,8 +147,8 @@ def table(outcomes: list[Outcome]) -> list[str]:
 def failures(outcomes: list[Outcome]) -> list[str]:
     """Return the failing calls with all their parameters.
 
-    A call fails if it misses the tolerance, is refused or warns, or if its predicted error is far from the measured
-    one.
+    A call fails if it misses the tolerance, is refused or warns, or if its ratio of predicted to measured error is
+    outside of the range ``PREDICTED``.
     """
     rows = []
     for outcome in outcomes:
@@ -181,7 +181,7 @@ def shortfalls(outcomes: list[Outcome]) -> list[str]:
 
 
 def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> None:
-    """Print one call, and its errors with finer settings of the plan."""
+    """Print one call with its plan and errors, and its errors with finer settings of the plan."""
     case = configurations.configuration(index, seed, scan, layouts)
     print(case)
     try:

@@ -1,13 +1,13 @@
-"""Published methods with known errors, which ``thesis.py`` compares with the library.
+"""Published methods with known defects, which ``thesis.py`` compares with the library.
 
-- ``neighbours``: the Gaussian window as a sum over the 3 × 3 coefficients that floor() selects. The sum lacks the phase
-  that moves the window off the transform's origin (Single 2014, eq. 3.34), so that the window lies on the patch's
-  seam.
-- ``periods``: whole periods of the patch (eq. 3.50). Coefficients are interpolated linearly or by a truncated sinc
-  (eq. 3.51). The sinc also lacks a phase: it is the transform of the patch with its halves swapped, so that the seam
-  lies inside.
+- ``neighbours``: the power under a Gaussian window, as a sum over the 3 × 3 coefficients that floor() selects. The sum
+  lacks a phase factor (Single 2014, eq. 3.34) that would move the window from the corner of the patch to its middle.
+  The window therefore lies on the seam between periods of the patch.
+- ``periods``: interference of whole periods of the patch (eq. 3.50). Coefficients are interpolated linearly or by a
+  truncated sinc (eq. 3.51). The sinc also lacks a phase factor: its result is that of the patch with its halves
+  swapped, which has the seam in its middle.
 
-The module uses NumPy. Coefficients have an error of at most 1e-6.
+The module uses NumPy. Errors of the coefficients by the truncation of their series are at most 1e-6.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
-# Truncation error of the series. Limit: small compared with the differences that the comparison shows.
+# Largest error of a coefficient by the truncation of its series. Limit: small compared with the compared differences.
 ACCURACY = 1e-6
 # Number of coefficients on either side of the nearest one, at which the sinc is truncated. Origin: as published.
 SINC_REACH = 3
@@ -43,7 +43,7 @@ CHUNK = 1 << 15
 
 
 def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats) -> Floats:
-    """Return ρ by 3 × 3 coefficients around the one that floor() selects, for the default window, without masking.
+    """Return ρ by the 3 × 3 coefficients around that found by floor(), for the default window, without masking.
 
     Args:
         heightfield: Height field.
@@ -67,14 +67,14 @@ def periods(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats, *,
     count: tuple[int, int], interpolation: str,
 ) -> Floats:  # fmt: skip
-    """Return ρ of ``count`` periods (y, x) with "linear" or "sinc" interpolation.
+    """Return ρ of ``count`` periods (y, x), with "linear" or "sinc" interpolation of the coefficients.
 
     The other arguments are those of :func:`neighbours`.
     """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         if heightfield.shape[axis] == 1:
-            # The transform of one sample is constant, so that no interpolation is necessary.
+            # Along an axis with one sample, the coefficients do not depend on the frequency, and are not interpolated.
             order = np.zeros((len(position), 1))
             weight = order + 1.0
         elif interpolation == "linear":
@@ -83,8 +83,8 @@ def periods(
         else:
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
-        # The factor of the amplitudes is sin(πNt) / (N sin(πt)), with t reduced to its distance from the nearest
-        # integer.
+        # The amplitude of N periods has the factor sin(πNt) / (N sin(πt)), where t is the distance of the position from
+        # the nearest integer.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -92,7 +92,7 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return the orders from ``first`` to ``last`` relative to given orders (p,), shape (p, k).
+    """Return the orders from ``first`` to ``last`` relative to each of the orders (p,), shape (p, k).
 
     An axis with one sample has only the order 0.
     """
@@ -103,9 +103,9 @@ def _reflectance(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats,
     weights: Callable[[Floats, int], tuple[Floats, Floats]],
 ) -> Floats:  # fmt: skip
-    """Return C·|Σ weight_s weight_r H_rs|².
+    """Return ρ = C·|Σ weight_s weight_r H_rs|² for all views and wavelengths, shape (n, m).
 
-    ``weights`` returns the orders and weights along an axis from the positions u L/λ or v L/λ on that axis.
+    ``weights(position, axis)`` returns the orders and their weights along an axis, at positions uLx/λ or vLy/λ.
     """
     lights = np.broadcast_to(to_light, to_view.shape)
     gains = reflectance_factors.gain(lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=False)
@@ -125,8 +125,8 @@ def _reflectance(
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
-            # In the plane of incidence, an interpolation gives all rows except the middle one the weight 0. These rows
-            # are skipped.
+            # In the plane of incidence, interpolation gives all rows of coefficients except the middle one the weight
+            # 0. These rows are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
@@ -138,7 +138,7 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return coefficients up to a frequency [1/µm], their block, and the scale 2πa [µm] of the series' argument."""
+    """Return coefficients up to a frequency [1/µm], their block, and the scale 2πa [µm] in the series' argument x."""
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)
     block = fourier_coefficients.Block.covering(

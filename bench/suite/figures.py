@@ -1,4 +1,4 @@
-"""Style of the charts, and functions that write their files."""
+"""Style of the charts, and functions that write their files and label their curves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 GREY = "#555555"
-# Colours of Okabe and Ito, which colour-blind readers can distinguish, with black and brown.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish. Black and brown are added.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE, BROWN = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#8c510a",
 )  # fmt: skip
@@ -51,7 +51,7 @@ def label_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]], *, gap:
     Args:
         axis: Axes with their limits set.
         ends: Last points of the curves with their labels: (x, y, name, colour), in data coordinates.
-        gap: Least distance of two labels, as a share of the axis.
+        gap: Least distance of two labels, as a share of the axis' height.
     """
     low, high = map(math.log10, axis.get_ylim())
     first, last = map(math.log10, axis.get_xlim())

@@ -1,8 +1,9 @@
-"""Frames: time against error for point samples, footprints and refined footprints, on every body.
+"""Frames: time against error for point samples, footprints and refined footprints, with one panel per body.
 
-A frame has 640 × 480 pixels, and the light and the camera move from frame to frame. Errors are measured on crops (see
-``crops``) over interior pixels, against 96 × 96 points per pixel under the pixel filter. Point samples use one table
-and the pixel filter, with 1 to 64 rays per pixel.
+A frame has 640 × 480 pixels, and the light and the camera move from frame to frame. Errors are those of interior pixels
+of crops, relative to 96 × 96 points per pixel (see ``bench.reproduce.crops``). The compared methods are: point samples
+with 1 to 64 rays per pixel under the pixel filter; footprints without refinement ("means"); and footprints with
+refinement at several tolerances.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
-# Random seed and number of the crops per body.
+# Seed of the random positions of crops, and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the plans for point samples and for the reference. Derived: half of the smallest tolerance of frames.
+# Tolerance of the plans for point samples. The reference has a third of it. Derived: half of the smallest tolerance of
+# the refined frames.
 TABLE = 1e-2
 
 
@@ -79,7 +81,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     number = iter(range(1, 10_000))
 
     def draw(renderer: wd.Renderer) -> None:
-        # A GPU works asynchronously, so that the time includes the wait until the frame is complete.
+        # A GPU works asynchronously. Without this wait, the time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, next(number))).device)
 
     times = interleaved({name: functools.partial(draw, one) for name, one in renderers.items()}, setting.rounds)
@@ -96,7 +98,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the figures by name: [value, least, most, unit]."""
+    """Return times and errors by name, as lists of value, least, most and unit."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():
@@ -107,7 +109,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per body. Return the finding as text."""
+    """Draw one panel per body. Return a sentence that compares refined frames with points, by the chart's name."""
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))
@@ -129,7 +131,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return the factors by which time and error of refined frames are smaller than those of point samples."""
+    """Return, for each body, time and P99 error with the most point samples, relative to frames refined to 0.1."""
     texts = []
     for body, by_method in results.items():
         ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]

@@ -1,9 +1,10 @@
-"""Speed against accuracy: every method over its settings, the automatic choice, and peers, on the pixels of a scene.
+"""Speed against accuracy: each method and peer at several settings, and the automatic choice, on a scene's pixels.
 
 Errors are relative to the float64 reference: ‖ΔXYZ‖ / max(‖XYZ‖, f) with f from ``errors``, and ΔE2000 with an exposure
-that maps the 99th percentile of Y to 1. Times are those of warm calls with arrays as inputs and outputs. Each call has
-as many of the scene's illuminated pixels as take about a tenth of a second. Preparation of a new height field (plan,
-coefficients, table) is timed separately, without compilation.
+that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
+that they include neither compilation nor preparation. The number of pixels of a call is such that it takes about a
+tenth of a second. The preparation of a new height field (plan, coefficients, table) is timed separately, without
+compilation.
 """
 
 from __future__ import annotations
@@ -34,15 +35,15 @@ if TYPE_CHECKING:
 
     Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
-# Number of directions whose error is measured; a quarter of them with ``--quick``. Limit: time of the reference.
+# Number of directions for which errors are measured; a quarter of it with ``--quick``. Limit: time of the reference.
 JUDGED = 300
-# Duration of a timed call [s], and its least number of pixels.
+# Approximate duration of a timed call [s], and least number of its pixels.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-# Numbers of frames over which the preparation time is distributed.
+# Numbers of frames among which the time of one preparation is divided.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
-# Methods of warpdiff by kind of coherence.
+# Methods of warpdiff that the charts compare, by kind of coherence.
 METHODS = {
     "averaged": ("low-rank, table", "low-rank", "power", "jacobi-anger", "taylor"),
     "centred": ("low-rank, table", "low-rank", "jacobi-anger", "taylor"),
@@ -60,7 +61,7 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a function that shades directions by a plan of warpdiff, with the interface of a peer."""
+    """Return a function that shades directions by a plan of warpdiff, with the arguments of the peers' functions."""
     import warp as wp
 
     direction_range = DirectionRange.of(
@@ -135,7 +136,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans for the pixels of a scene, by (method, tolerance)."""
+    """Return plans for the illuminated pixels of a scene, by (method, tolerance)."""
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -147,7 +148,7 @@ def plans(
             try:
                 plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, **chosen, **options)
             except ValueError:
-                # Methods that cannot meet the tolerance are skipped.
+                # A method that cannot meet the tolerance has no point at this tolerance.
                 continue
             result[method, f"{tolerance:g}"] = plan
     return result
@@ -203,7 +204,7 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
 
 
 def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting) -> Any:
-    """Yield the preparation time [s] of a new height field by method. Kernels are compiled before."""
+    """Yield methods of warpdiff with their time [s] to prepare a new height field. Kernels are already compiled."""
     few = directions.subset(FEWEST)
     for method in ("low-rank, table", "low-rank"):
         if method in METHODS[coherence.kind]:
@@ -232,7 +233,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the figures by name: [value, least, most, unit]."""
+    """Return times and errors by name, as lists of value, least, most and unit."""
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():
@@ -247,7 +248,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one chart per scene and coherence. Return the findings by the names of the charts."""
+    """Draw one chart per scene and coherence. Return a sentence about the methods of each chart, by its name."""
     return {f"pareto_{name}": _draw(f"pareto_{name}", result, folder) for name, result in results.items()}
 
 
@@ -260,7 +261,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         for method, curve in curves.items():
             colour, marker, title = style(method)
             top = method == AUTOMATIC
-            # The published setting is a separate point and not a part of a peer's curve.
+            # The first setting of a peer is the published one. It is a separate point outside of the peer's curve.
             begin = int(method in PEERS.values())
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
@@ -316,13 +317,13 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """Return the index of the cheapest setting whose P99 error is at most ``error``, or None."""
+    """Return the index of a curve's fastest setting whose P99 error is at most ``error``, or None."""
     good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return the finding of a chart as a sentence."""
+    """Return a sentence that compares the automatic choice with the fastest peer at an error of 1e-2."""
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:

@@ -20,13 +20,12 @@ if TYPE_CHECKING:
 
 # Width of a preview [pixels].
 WIDTH = 320
-# Exposure of previews: percentile 99 of the reference luminance is mapped to this value. Limit: larger values clip more
-# pixels to white.
+# Exposure of previews: it maps the 99th percentile of Y to this value. Limit: larger values clip more pixels to white.
 EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return sRGB pictures (height, width, 3) of all scenes, with their errors relative to warpdiff at 1e-3."""
+    """Return sRGB pictures (height, width, 3) of all scenes, with their errors relative to warpdiff's at 1e-3."""
     results = {}
     for scene in scenes(setting.data):
         coherence = scene.coherences[0]
@@ -45,7 +44,8 @@ def measure(setting: Setting) -> dict[str, Any]:
             xyz = np.float64(shade(directions.scattering_vectors, directions.gains, setting.threads))
             reference_xyz = xyz if reference_xyz is None else reference_xyz
             error = errors.relative(xyz, reference_xyz)
-            # The published rainbow has no defined brightness, so that its exposure is relative to its own luminance.
+            # The brightness of the published rainbow is not defined. Its exposure is therefore relative to its own
+            # luminance, and that of the other pictures to warpdiff's luminance.
             by, exposure = (xyz, 1.0) if "rainbow" in name else (reference_xyz, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))
             image[illuminated] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
@@ -59,7 +59,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of peers relative to warpdiff by name: [value, least, most, unit]."""
+    """Return the errors of peers relative to warpdiff by name, as lists of value, least, most and unit."""
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]
         for name, scene in results.items()
@@ -70,7 +70,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the pictures of all scenes on one sheet. Return the finding as text."""
+    """Draw the pictures of all scenes on one sheet. Return a sentence about their differences, by the chart's name."""
     plt = figures.pyplot()
     columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(

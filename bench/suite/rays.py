@@ -1,4 +1,4 @@
-"""Ray tracing compared with Embree and Mitsuba: rays per second at equal threads, and errors of hits and normals."""
+"""Ray tracing compared with Embree and Mitsuba: rays per second with equal numbers of threads, and errors of hits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Number of random rays whose hits are compared with brute force. Limit: time and memory of brute force.
+# Number of random rays whose hits are compared with the brute-force reference. Limit: time and memory of the reference.
 JUDGED = 1000
 
 
@@ -60,7 +60,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the figures by name: [value, least, most, unit]."""
+    """Return rates and errors by name, as lists of value, least, most and unit."""
     result: dict[str, list[Any]] = {}
     for name, figure in results["casters"].items():
         for threads, rate in figure["mrays"].items():
@@ -71,7 +71,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one bar per program and number of threads. Return the finding as text."""
+    """Draw one bar per program and number of threads. Return a sentence about the rates, by the chart's name."""
     plt = figures.pyplot()
     casters = results["casters"]
     figure, axis = plt.subplots(figsize=(9.5, 0.62 * len(casters) + 1.7))

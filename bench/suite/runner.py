@@ -1,4 +1,4 @@
-"""Run of ``python -m bench``: all charts and their numbers, and the comparison of two runs."""
+"""The run of ``python -m bench``, which makes all charts and their numbers, and the comparison of two such runs."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab",
 )  # fmt: skip
-# Least relative change of a figure that counts, if it also exceeds the spread of the rounds of both runs. Limit:
-# smaller changes are noise of the machine.
+# Least relative change of a number between two runs that is listed. The change must also exceed the spread over the
+# timed rounds of both runs. Limit: smaller changes are noise of the machine.
 LEAST_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Settings of a run.
+    """Settings of a run of ``python -m bench``.
 
     Attributes:
         quick: Whether charts have few points.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Number of CPU threads, for warpdiff and peers.
-        data: Folder of the real inputs; None means the default folder.
-        rounds: Number of timed rounds; all calls are interleaved.
-        user_peers: The user's own methods by name: functions ``prepare(heightfield, coherence)``, see ``user_peer``.
+        data: Folder of the measured height fields; None means the default folder.
+        rounds: Number of timed rounds, in each of which every call is timed once.
+        user_peers: Methods that the user supplies, by name: functions ``prepare(heightfield, coherence)``, see
+            ``user_peer``.
     """
 
     quick: bool
@@ -76,11 +77,11 @@ def run(
         parts: Names from ``PARTS``; None means all.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Number of CPU threads; None means one per core.
-        data: Folder of the real inputs.
-        peer: The user's own method, ``"module:function"``: see ``user_peer``.
+        data: Folder of the measured height fields; None means the default folder.
+        peer: Method that the user supplies, as ``"module:function"``; see ``user_peer``.
 
     Returns:
-        The path of the report, a Markdown file with the charts and a finding below each.
+        The path of the report, a Markdown file with the charts and a sentence about the result below each.
     """
     unknown = sorted(set(parts or ()) - set(PARTS))
     if unknown:
@@ -104,7 +105,7 @@ def run(
         results["figures"] |= module.numbers(part_results)
         results["findings"] |= module.chart(part_results, folder)
         results["seconds"][name] = round(time.perf_counter() - begin, 1)
-        # Files are written after each part, so that a later failure loses no results.
+        # Files are written after each part, so that a later exception loses no results.
         write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
         write_csv(folder / "results.csv", results["figures"])
         write(folder / "report.md", report(results))
@@ -112,13 +113,13 @@ def run(
 
 
 def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
-    """Import the user's own method.
+    """Import a method that the user supplies, for comparison with the peers.
 
     Args:
         text: ``"module:function"``. The function takes a height field and a coherence, and returns a function
             ``shade(scattering_vectors, gains, threads)``. Its arguments are (u, v, w) of shape (n, 3), gains (n,) and
-            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the sum of ``warpdiff.reflectance``
-            without geometry factors. It raises ``ValueError`` for an unsupported coherence.
+            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the colours that
+            ``warpdiff.reflectance`` would return for gains of 1. It raises ``ValueError`` for an unsupported coherence.
 
     Returns:
         The function by its name.
@@ -184,7 +185,7 @@ def write(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
-    """Write the figures to a CSV file, one per line."""
+    """Write the numbers of a run to a CSV file, one per line."""
     with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
@@ -192,7 +193,7 @@ def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
 
 
 def report(results: dict[str, Any]) -> str:
-    """Return the text of the report: charts with their findings."""
+    """Return the text of the report: charts, each with a sentence about its result."""
     machine = results["machine"]
     seconds = ", ".join(f"{name} {s:.0f} s" for name, s in results["seconds"].items())
     made_by = f"warpdiff {machine['warpdiff']}" + (f" at {machine['commit']}" if machine["commit"] else "")
@@ -204,14 +205,14 @@ def report(results: dict[str, Any]) -> str:
 
 
 def compare(old: Path, new: Path) -> list[str]:
-    """Return the figures of two runs that differ by more than their noise, by decreasing change.
+    """Return the numbers that differ between two runs by more than their noise, the largest change first.
 
     Args:
         old: Path of the first ``results.json``.
         new: Path of the second ``results.json``.
 
     Returns:
-        Lines of text; the first is a summary.
+        Lines of text: a summary, then one line per changed, removed or new number.
     """
     before, after = (_read(path) for path in (old, new))
     changed, both = [], [name for name in before if name in after]

@@ -1,8 +1,8 @@
 """Scaling of time and memory with pixels, samples, patch, heights, window, lights, mesh and threads.
 
-Each point runs in its own process. It renders fingers on a tube at a tolerance of 1e-2, with one parameter changed. The
-measured quantities are the preparation before the first frame (plan, coefficients, table), the frames of a moving
-light, and the increase of the process's peak memory.
+Each point of the chart is measured in its own process, which renders fingers on a tube with one parameter changed. The
+measured quantities are the time of the preparation before the first frame (plan, coefficients, table), the times of
+frames under a moving light, and the increase of the process's peak memory.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "faces": ("along", (16, 64, 256, 512), "faces of the mesh"),
     "threads": ("threads", (1, 2, 4, 8, 16), "threads"),
 }
-# Number of timed frames per point.
+# Number of timed frames per point of the chart.
 FRAMES = 5
 
 
@@ -57,7 +57,8 @@ def most_memory() -> float:
     """Return the peak memory of this process [MB]."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # The value of getrusage is not used here, because it includes the memory of the parent process.
+        # getrusage is used only where /proc/self/status is missing, because its value includes the memory of the parent
+        # process.
         return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 
@@ -65,7 +66,7 @@ def most_memory() -> float:
 
 
 def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
-    """Measure one point of a series in this process."""
+    """Measure times and memory for one point of the chart in this process."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     p = BASE | parameters
     heightfield = wd.gratings.fingers(size_um=p["size_um"], pitch_um=p["pitch_um"], height_um=p["height_um"], seed=2)
@@ -74,12 +75,13 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     options = {"device": device, "threads": p["threads"]}
     small = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     few = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=32, height=24)
-    # A first small picture loads the libraries and most kernels.
+    # A first small picture loads the libraries and most kernels. Neither time nor memory of it is included.
     tiny = wd.meshes.tube(segments_along=16, segments_around=8)
     wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
     before = most_memory()
     begin = time.perf_counter()
-    # If the patch is small compared with the window, no table meets the tolerance and wavelengths are sampled.
+    # The plan samples wavelengths if no table meets the tolerance, as for patches that are small compared with the
+    # window. Footprints require a table.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
@@ -113,7 +115,8 @@ def measure(setting: Setting) -> dict[str, Any]:
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # In some series the first of two runs compiles kernels for the height field, and its times are discarded.
+            # In some series a first run compiles kernels for the plan of this point. Only the times of the second run
+            # are used.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
@@ -130,12 +133,12 @@ def _in_process(parameters: dict[str, Any], setting: Setting) -> dict[str, Any]:
 
 
 def exponent(x: list[float], y: list[float]) -> float:
-    """Return the slope of log y over log x."""
+    """Return the exponent of a power law fitted to y over x, the slope of log y over log x."""
     return float(np.polyfit(np.log(x), np.log(np.maximum(y, 1e-9)), 1)[0])
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the figures by name: [value, least, most, unit]."""
+    """Return times and memory by name, as lists of value, least, most and unit."""
     result: dict[str, list[Any]] = {}
     for name, points in results.items():
         for point in points:
@@ -147,7 +150,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per series: times and memory, with fitted exponents. Return the finding as text."""
+    """Draw times and memory of each series, with fitted exponents. Return a sentence on them, by the chart's name."""
     plt = figures.pyplot()
     columns = min(len(results), 4)
     rows = -(-len(results) // columns)

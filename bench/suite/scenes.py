@@ -1,4 +1,4 @@
-"""Scenes of the charts. Times, errors and previews use the pixels of one picture per scene."""
+"""Scenes of the charts. Times, errors and previews of a scene are those of the pixels of one picture."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 IOR = 1.5
 # Width of the pictures whose pixels are timed.
 WIDTH = 960
-# Number of illuminated pixels per frame, which converts times per pixel to times per frame.
+# Number of illuminated pixels of a frame. Times per pixel are multiplied by it to estimate times per frame.
 FRAME_PIXELS = 150_000
 
 
@@ -37,7 +37,7 @@ class Directions(NamedTuple):
     gains: np.ndarray
 
     def subset(self, count: int) -> Directions:
-        """Return at most ``count`` directions, evenly spaced, in their order."""
+        """Return at most ``count`` of the directions, evenly spaced in their order."""
         chosen = np.linspace(0, len(self.gains) - 1, min(count, len(self.gains))).astype(int)
         return Directions(*(array[chosen] for array in self))
 
@@ -49,10 +49,10 @@ class Scene:
     Attributes:
         name: Name in files.
         title: Title in charts.
-        make: Function that makes the height field as a new object without caches.
+        make: Function that returns a new object of the height field, for which nothing is cached.
         mesh: Mesh of the body.
         light: Light.
-        eye, target, fov_y_deg: Camera.
+        eye, target, fov_y_deg: Position, target and vertical field of view [degrees] of the camera.
         coherences: Kinds of coherence in the charts of the scene.
     """
 
@@ -68,7 +68,7 @@ class Scene:
 
     @functools.cached_property
     def heightfield(self) -> wd.HeightField:
-        """Height field of the scene, made once."""
+        """Height field of the scene. All accesses return the same object."""
         return self.make()
 
     def view(self, width: int) -> wd.View:
@@ -113,7 +113,8 @@ def scenes(data: Path | None) -> list[Scene]:
         return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
 
     def disc() -> wd.HeightField:
-        # The patch is as long as the scan. In a shorter patch the window would cover the same pits twice.
+        # The patch is as long as the scan's. In a shorter patch, the window would extend over several periods of the
+        # same pits.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
     measured = inputs.scan(data)

@@ -1,8 +1,9 @@
-"""Limits of each method and errors of the automatic choice in eight regimes, one panel each.
+"""Errors of methods where they reach their limits, and of the automatic choice: eight regimes, one panel each.
 
-Errors are 99th percentiles over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The
-floor f is a thousandth of the 99th percentile of Y or ρ. Float32 curves are from the library's kernel, float64 curves
-from the same series in NumPy. References are the float64 reference, the direct sum, or a closed form.
+A regime varies one parameter, the x axis, over the range in which methods fail. Errors are 99th percentiles over
+directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The floor f is a thousandth of the
+99th percentile of Y or ρ. Float32 curves of a series are computed by the library's kernels, float64 curves by the same
+series in NumPy. Errors are relative to the float64 reference, the direct sum, or a closed form.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Tolerance of the library calls of the automatic choice.
+# Tolerance of the calls that measure the automatic choice.
 TOLERANCE = 1e-2
-# Slice that selects all points of a regime.
+# Slice that selects all values on the x axis of a regime.
 ALL = slice(None)
-# Tolerance of calls that measure the accuracy limit of a method.
+# Tolerance of the calls that measure the smallest error that a method can reach.
 FINEST = 1e-5
 WAVELENGTHS_UM = np.array([0.4, 0.45, 0.55, 0.65, 0.75])
 AUTOMATIC = "automatic, tolerance 1e-2"
@@ -54,16 +55,17 @@ FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """Panel of one regime in the stability chart.
+    """One panel of the stability chart: errors of several methods in one regime.
 
     Attributes:
         title: Title of the panel.
         axis: Label of the x axis.
         x: Values on the x axis.
         curves: Errors at each x, by the name of the curve; NaN where a method is not evaluated.
-        note: Note in the panel.
-        ticks: Ticks of the x axis.
-        warned: Indices of points at which an automatic choice refuses or warns. Its result is still drawn.
+        note: Text in the panel: surface and window.
+        ticks: Values with a tick on the x axis.
+        warned: Indices of the values on the x axis at which the automatic choice refuses or warns, by the name of the
+            curve. Its result is still drawn.
     """
 
     title: str
@@ -76,25 +78,25 @@ class Panel(NamedTuple):
 
 
 class Points:
-    """Errors of a panel by curve and point, and the points at which an automatic choice refuses or warns."""
+    """Errors by curve and value on the x axis, and the values at which the automatic choice refuses or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []
         self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
-        """Begin a new point of the x axis."""
+        """Begin a new value on the x axis."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:
-        """Set the error of a curve at the present point, or the larger of two errors."""
+        """Set the error of a curve at the present value on the x axis. If it already has one, the larger one counts."""
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Evaluate the library's automatic choice at the present point of the x axis, and add its error."""
+        """Evaluate the library's automatic choice, and add its error at the present value on the x axis."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
@@ -109,7 +111,7 @@ class Points:
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray,
     ) -> None:  # fmt: skip
-        """Set the errors of sums over wavelengths with steps of 5 nm and 1 nm."""
+        """Add the errors of sums over wavelengths with steps of 5 nm and 1 nm."""
         for step, label in STEPS.items():
             xyz = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
             self.add(label, methods.colour_error(xyz, exact))
@@ -117,7 +119,7 @@ class Points:
     def neighbourhoods(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
     ) -> None:
-        """Set the errors of 3 × 3 coefficients relative to all coefficients, for the same wavelengths."""
+        """Add the errors of 3 × 3 coefficients relative to all coefficients, with the same wavelengths."""
         wavelengths, weights = methods.fixed_steps(step_nm)
 
         def colour(**keywords: Any) -> np.ndarray:
@@ -131,14 +133,14 @@ class Points:
         self.add(ROUNDED, methods.colour_error(colour(neighbour_extent=1), exact))
 
     def panel(self, title: str, axis: str, x: Any, note: str, ticks: tuple[float, ...]) -> Panel:
-        """Return the panel with all points."""
+        """Return the panel with the errors of all values on the x axis."""
         names = dict.fromkeys(name for point in self._points for name in point)
         curves = {name: [point[name] for point in self._points] for name in names}
         return Panel(title, axis, np.asarray(x), curves, note, ticks, self.warned)
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: every series in float32 and in float64."""
+    """Return the panel of the height range: errors of every series in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -176,7 +178,7 @@ def height_range(which: slice = ALL) -> Panel:
 def window_width(which: slice = ALL) -> Panel:
     """Return the panel of the window width.
 
-    3 × 3 neighbours fail for short windows, and fixed wavelengths fail for long windows.
+    3 × 3 coefficients are too few for short windows, and fixed wavelengths too coarse for long ones.
     """
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
@@ -193,9 +195,9 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Return the panel of the patch size: 3 × 3 coefficients are too few for large patches.
+    """Return the panel of the patch size. 3 × 3 coefficients are too few for large patches.
 
-    Fixed wavelengths 5 nm apart miss orders of any patch.
+    Fixed wavelengths with a step of 5 nm miss orders of patches of any size.
     """
     lights, views = (tilted_up(directions) for directions in methods.hemisphere_pairs(48))
     window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
@@ -210,7 +212,7 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Return directions moved to within 30° of the normal, for patches with many coefficients."""
+    """Return directions tilted to within 30° of the normal, which limits the coefficients of large patches."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
@@ -219,7 +221,8 @@ def tilted_up(directions: np.ndarray) -> np.ndarray:
 def order_rate(which: slice = ALL) -> Panel:
     """Return the panel of the distance from the mirror direction.
 
-    Fixed wavelengths fail far from the mirror direction, and one point per order fails near it.
+    Fixed wavelengths are too coarse far from the mirror direction. The method with one wavelength per Fourier
+    coefficient fails near it, where one coefficient dominates at all visible wavelengths.
     """
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
     heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
@@ -236,9 +239,10 @@ def order_rate(which: slice = ALL) -> Panel:
 
 
 def grazing(which: slice = ALL) -> Panel:
-    """Return the panel of grazing light and view.
+    """Return the panel of grazing light and view: errors over their elevation above the horizon.
 
-    The sum 1 + ωi·ωr loses digits near the horizon, and the foreshortening of a source has no limit.
+    In float32, the sum 1 + ωi·ωr loses digits near the horizon. The method that omits the foreshortening of a source by
+    cos θi has an error that grows towards the horizon without limit.
     """
     window, source = wd.Coherence(), wd.Coherence("source")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
@@ -246,8 +250,8 @@ def grazing(which: slice = ALL) -> Panel:
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
         points.start()
-        # A call near the mirror direction would hide errors of darker directions. The chart shows the worse of two
-        # calls.
+        # In directions near the mirror direction, bright colours raise the floor f and hide errors of darker ones.
+        # Views near the mirror direction and views anywhere are therefore two calls, and the larger error is drawn.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
             same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)
@@ -266,7 +270,7 @@ def grazing(which: slice = ALL) -> Panel:
 
 
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
-    """Return XYZ of a continuous sine grating in the plane of incidence, by |H_m|² = J_m(πκ·depth)²."""
+    """Return XYZ of a continuous sine grating in the plane of incidence; order m has |H_m|² = J_m(πκ·depth)²."""
     tau, weights = reference.quadrature(512, "D65")
     scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
@@ -282,7 +286,8 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 def pitch(which: slice = ALL) -> Panel:
     """Return the panel of the sample spacing.
 
-    No method detects aliasing by its height samples. Resampling to 0.02 µm in advance reduces the error.
+    If the pitch is too coarse, methods that use the height samples as they are have large errors by aliasing.
+    Resampling to 0.02 µm before the call reduces the error.
     """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
@@ -302,7 +307,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """Return the panel of replicas: a thousand periods, with phases between periods near whole turns."""
+    """Return the panel of replicas: a thousand periods, with phases between periods that are nearly whole turns."""
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
@@ -310,7 +315,7 @@ def periods(which: slice = ALL) -> Panel:
         points.start()
         lights, views = methods.near_resonance(heightfield, away, wavelength)
         scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
-        # The phase is computed from the vectors, so that it has the same rounding.
+        # The phase is computed from the same vectors as the reference, so that both have the same rounding errors.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
             direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]
@@ -335,7 +340,7 @@ def periods(which: slice = ALL) -> Panel:
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
-    """Return the panel of wavelength steps: plain sums with equal steps, compared with the plan's quadrature."""
+    """Return the panel of wavelength steps: plain sums with equal steps, compared with the library's quadrature."""
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
@@ -348,7 +353,8 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
-            # The automatic choice has no wavelength step. Its curve is constant and shows the worse of both cases.
+            # The automatic choice does not depend on the wavelength step. Its curve is constant, and shows the larger
+            # error of the panel's two surfaces.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
@@ -395,7 +401,7 @@ TINT = "#fbe3e0"
 
 
 def style_of(name: str) -> dict[str, object]:
-    """Return the style of a curve. Float64 curves of a series are dashed."""
+    """Return the style of a curve, by its name. Float64 curves of a series are dashed."""
     styles = {label: style for group in STYLES.values() for label, style in group.items()}
     if name in styles:
         return {"linewidth": 1.9, **styles[name]}
@@ -455,7 +461,7 @@ def written(tick: float) -> str:
 
 
 def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object], warned: list[int]) -> None:
-    """Draw one curve of a panel. Crosses at the upper edge mark errors beyond the scale."""
+    """Draw one curve of a panel. Crosses at the upper edge mark errors beyond the range of the axis."""
     x = panel.x
     beyond = errors >= MOST
     y = np.clip(errors, LEAST * 1e-3, MOST)
@@ -472,7 +478,7 @@ def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object],
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the panels. A quick run has every fifth point, without the slow points at the ends."""
+    """Measure the panels. A quick run has every fifth value on the x axis, without the slow ones at the ends."""
     results = {}
     for regime in REGIMES:
         setting.say(f"stability: {regime.__name__}")
@@ -482,7 +488,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name: [value, least, most, unit]."""
+    """Return the errors of the automatic choice by name, as lists of value, least, most and unit."""
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
         for regime, panel in results.items()
@@ -492,7 +498,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one chart. Return the finding as text."""
+    """Draw all panels in one chart. Return a sentence about the automatic choice, by the chart's name."""
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

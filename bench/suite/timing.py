@@ -1,4 +1,4 @@
-"""Interleaved timing: every call runs once per round. Results are medians with the range of the rounds."""
+"""Interleaved timing: in each round, every call runs once. Results are medians over the rounds with their range."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Times(NamedTuple):
-    """Times of a call [s]: median, minimum and maximum of the rounds, and the excess of the first call."""
+    """Times of a call [s]: median, minimum and maximum over the rounds, and first call minus median."""
 
     median: float
     least: float
@@ -21,7 +21,7 @@ class Times(NamedTuple):
 
 
 def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, Times]:
-    """Time calls, interleaved. The first round is counted separately."""
+    """Time calls in rounds, in each of which every call runs once. The first round is not part of the medians."""
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds + 1):
         for name, call in calls.items():

@@ -1,12 +1,14 @@
-"""Validity of scalar diffraction: errors of its order efficiencies relative to rigorous ones, over period and depth.
+"""Validity of scalar diffraction: errors of order efficiencies relative to rigorous ones, over period and depth.
 
 The plane of incidence is perpendicular to the grooves, at three angles; both polarisations are averaged. The reference
 is a published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It
 requires minutes, so its efficiencies are stored in ``rigorous.json``, which ``python -m bench.suite.validity`` writes.
-The file also has two checks of the reference: its energy balance and results on finer meshes.
+The file also has two estimates of the solver's own error: the violation of the energy balance, and changes of the
+efficiencies on finer meshes.
 
-Errors are relative to the reflectance of a flat surface. The library computes it by Schlick's formula for glass; the
-error of that formula is excluded.
+Errors are shares of the power that a flat surface reflects. For glass, the library computes this reflectance by
+Schlick's formula, and the solver by Fresnel's equations. The efficiencies of both are divided by their own reflectance,
+which excludes the error of Schlick's formula.
 """
 
 from __future__ import annotations
@@ -38,15 +40,16 @@ CASES = {
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
 # Angles of incidence [degrees].
 ANGLES = (0.0, 30.0, 60.0)
-# Periods and depths [wavelengths]. With these end points no order lies within 4° of the horizon, neither in air nor in
-# glass. Rigorous efficiencies jump there (Rayleigh anomalies).
+# Periods and depths [wavelengths]. For these values no order is within 4° of the horizon, neither in air nor in glass.
+# Nearer to the horizon, rigorous efficiencies jump (Rayleigh anomalies).
 PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
 # Number of height samples per period.
 SAMPLES = 2048
-# Unit of the stored efficiencies. Limit: rounding to it is small compared with the errors of the chart.
+# Unit in which efficiencies are stored as integers. Limit: this rounding is small compared with the errors in the
+# chart.
 UNIT = 1e-5
-# Largest error of an order that counts as correct, as a share of the reflected power.
+# Largest error of an order that counts as correct, as a share of the power that a flat surface reflects.
 LIMIT = 0.1
 # Errors at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
@@ -55,7 +58,7 @@ WAVELENGTH_NM = 500.0
 
 
 class Integral:
-    """Reference solver by boundary integrals. Lengths are in wavelengths."""
+    """Reference solver by boundary integrals. Its periods and depths are relative to the wavelength."""
 
     def __init__(self) -> None:
         from gratinglab import Illumination, problem, profiles, solvers
@@ -79,7 +82,8 @@ class Integral:
         if index is not None:
             name = f"n{index:g}"
             Path(self._folder.name, f"{name}.txt").write_text(f"2.0 {1.0 - index} 0.0\n3.0 {1.0 - index} 0.0\n")
-        # The mesh is finer towards corners. Its coarsest part has 6 points per wavelength, by the solver's definition.
+        # The mesh is finer towards corners. Where it is coarsest, it has 6 points per wavelength, by the solver's
+        # definition.
         points = 24.0 * (period + 2.0 * depth) * max(1.0, (index or 1.0) / 1.5)
         scan = self._solver.solve(
             self._problem(period=WAVELENGTH_NM * period, profile=profile, coating=name),
@@ -93,7 +97,7 @@ class Integral:
 
 
 def recompute() -> None:
-    """Solve all cases with the reference solver and write their efficiencies to the file."""
+    """Solve all cases with the reference solver, and write the efficiencies to ``rigorous.json``."""
     solve, stored = Integral(), {}
     for case, (shape, index) in CASES.items():
         begin, rows, energy, finer = time.perf_counter(), [], [], []
@@ -122,7 +126,7 @@ def recompute() -> None:
 
 
 def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
-    """Return the reflectance of a flat surface for unpolarised light: by Fresnel's equations, and by the library."""
+    """Return the reflectance of a flat surface for unpolarised light, by Fresnel's equations and by the library."""
     if index is None:
         return 1.0, 1.0
     cos_i = math.cos(math.radians(angle))
@@ -135,12 +139,12 @@ def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
 
 
 def error(shape: str, index: float | None, period: float, depth: float, angle: float, row: list[int]) -> float:
-    """Return the largest error of any order of a grating, as a share of the reflected power."""
+    """Return the largest error of any order of a grating, as a share of the power that a flat surface reflects."""
     flat, ours = flat_reflectance(index, angle)
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-    # Lengths are in wavelengths, and the wavelength is 1 µm here.
+    # Periods and depths are relative to the wavelength, which is 1 µm in this call.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
     return float(np.max(np.abs(efficiencies - rigorous)))
@@ -181,7 +185,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return the finding as text."""
+    """Draw the maps of the error. Return a sentence about the error bound, by the chart's name."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -233,7 +237,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts for the rule of validity by name: [value, least, most, unit]."""
+    """Return the counts and errors of ``rule`` by name, as lists of value, least, most and unit."""
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
         for case, counts in results["rule"].items()

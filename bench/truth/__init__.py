@@ -1,9 +1,9 @@
 """References for measurements and tests, which share no code with the kernels.
 
-- ``reference``: colours of directions and pixels in float64
-- ``brute_force``: intersections of rays with triangles
-- ``numpy_methods``: series and λ steps in NumPy
-- ``configurations``: random calls
-- ``judge``: errors of calls on directions that no plan has read
-- ``errors``: error measures
+- ``reference``: colours of directions and pixels, in float64
+- ``brute_force``: intersections of rays with triangles, by tests of all pairs
+- ``numpy_methods``: series expansions and sums over wavelengths in NumPy
+- ``configurations``: random calls of the library, which test plans
+- ``judge``: errors of such calls, on directions that were not used to make their plans
+- ``errors``: error measures for colours
 """

@@ -8,7 +8,7 @@ import numpy as np
 def pixel_rays(eye, target, up, *, width, height, fov_y_deg=None, extent_y=None, offsets=(0.0, 0.0)):
     """Return origins and unit directions (height * width, 3) of camera rays, from a camera-to-world matrix.
 
-    The z axis of the camera points backwards.
+    The camera looks along its negative z-axis.
     """
     eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
     z = (eye - target) / np.linalg.norm(eye - target)
@@ -31,8 +31,8 @@ def intersect(origins, directions, vertices, faces, chunk=256):
     """Find the nearest hits of rays by the Möller-Trumbore test of all pairs of rays and triangles.
 
     Return t (inf for a miss), face index (−1 for a miss), barycentric coordinates (k, 3), and the margin to the nearest
-    edge. The margin is the least |barycentric coordinate| of the hit and of triangles that the ray narrowly misses
-    before it.
+    edge. The margin is the least |barycentric coordinate| over the hit face and over faces in front of it that the ray
+    misses; it is small where rounding may change the hit.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
@@ -78,7 +78,8 @@ def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents,
     n = rotated * n / np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * away, axis=1, keepdims=True)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    # Normals at grazing views are rotated in the plane of n and the view direction, until their cosine is 0.01.
+    # Normals that are perpendicular to the view direction or point away are rotated towards it until the cosine between
+    # both is 0.01.
     tilted = 0.01 * away + np.sqrt(1.0 - 1e-4) * (n - cosine * away) / sine
     n = np.where(cosine < 0.01, tilted, n)
     t = np.einsum("kc,kcd->kd", bary, tangents[corners])

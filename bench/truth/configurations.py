@@ -1,8 +1,8 @@
 """Random calls that test plans: surface, coherence, tolerance and directions, each determined by an index and a seed.
 
-Coherences and tolerances are cycled, so that ``len(STRATA)`` consecutive indices contain each combination once. All
-other parameters are random. Calls are lists of directions (few and many, shuffled and sorted), grids of directions in
-row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
+Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)`` consecutive indices contain each
+combination once. All other parameters are random. Calls are lists of directions (few and many, shuffled and sorted),
+grids of directions in row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Combinations of coherence and tolerance. Replicas have only two tolerances, because their narrow lobes are resolved
-# only by dense wavelength samples.
+# Combinations of coherence and tolerance. Replicas have only two tolerances, because many wavelengths are necessary to
+# resolve their narrow lobes.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials of calls. Half of the calls use the default material instead.
+# Materials of half of the calls. The other calls use the default material.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
@@ -38,17 +38,18 @@ FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
 FEW = 4096
 # Largest number of directions of a call. Limit: computing time.
 MOST = 262_144
-# Largest numbers of directions of calls without a table, and of replicas. Limit: computing time, because a direction
-# then takes at least 0.1 ms.
+# Largest numbers of directions of calls that sample wavelengths instead of using a table, and of calls with replicas.
+# Limit: computing time, because each of these directions takes at least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
 # Largest angle of directions from the normal [degrees], and its cosine.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
-# Largest sample spacing [µm] of resampled surfaces. Limit: slightly less than 380 nm and |(u, v)| = 2 require.
+# Largest sample spacing [µm] of resampled surfaces. Derived: slightly below 95 nm, half of the period of 190 nm whose
+# first order at 380 nm has |(u, v)| = 2.
 COARSEST_PITCH_UM = 0.0945
-# Largest number of samples of a replicated patch, and largest length of all its periods [µm]. Limits: the reference
-# sums each sample and resolves each lobe.
+# Largest number of samples of a replicated patch, and largest total length of its periods [µm]. Limits: the reference
+# sums every sample, and resolves every lobe in the wavelength.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
 # Largest angle of incidence of a reflectance map's light [degrees].
@@ -68,7 +69,7 @@ class Picture(NamedTuple):
 
 
 class Configuration(NamedTuple):
-    """One call of the library, with a description of its parameters in words."""
+    """One random call of the library: its arguments, and a description in words."""
 
     index: int
     seed: int
@@ -100,7 +101,7 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the configuration of an index. ``scan`` is a height field to crop; None means that fingers replace it."""
+    """Return the configuration of an index. Crops of ``scan`` are used, or fingers if it is None."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -108,7 +109,8 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     heightfield, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
     coherence = a_coherence(rng, kind, heightfield)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
-    # The material has a separate random generator, so that the other parameters of a seed do not depend on it.
+    # The material is drawn from a random generator of its own, so that the other parameters of a seed do not depend on
+    # it.
     apart = np.random.default_rng([seed, index, 26])
     material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
     case = Configuration(
@@ -129,9 +131,10 @@ def log_uniform(rng, low, high):
 
 
 def surface(rng, name, scan, *, small=False):
-    """Return a random height field with the given name, and its final name.
+    """Return a random height field of the named kind, and a more precise name.
 
-    Height ranges are 0.001 to 3 µm. Small height fields have few samples.
+    Without a scan, fingers replace it. Height ranges are 0.001 to 3 µm. With ``small``, the height field has at most
+    ``MOST_PATCH_SAMPLES`` samples.
     """
     seed = int(rng.integers(1 << 30))
     if name == "scan" and scan is not None:
@@ -199,7 +202,7 @@ def rough(rng):
 
 
 def fewer(heights):
-    """Return a corner of the heights that has at most ``MOST_PATCH_SAMPLES`` samples."""
+    """Return one corner of an array of heights, which has at most ``MOST_PATCH_SAMPLES`` samples."""
     ny, nx = heights.shape
     while ny * nx > MOST_PATCH_SAMPLES:
         ny, nx = (ny - ny // 8, nx) if ny >= nx else (ny, nx - nx // 8)
@@ -253,7 +256,7 @@ def a_list(rng, case, most):
 
 
 def some_views(rng, way, lights, spread, heightfield, coherence):
-    """Return one random view direction per light, at most ``STEEPEST_DEG`` from the normal."""
+    """Return one random view per light, distributed as ``way`` says, at most ``STEEPEST_DEG`` from the normal."""
     views = np.zeros_like(lights)
     pending = np.arange(len(lights))
     while len(pending):
@@ -263,8 +266,8 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
         s = np.sqrt(1.0 - z * z)
         candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
-            # Views are normally distributed around the mirror direction. Even if that lies at the largest angle, half
-            # of the draws are accepted.
+            # Views are normally distributed around the mirror direction. Those beyond the largest angle are drawn
+            # again, at most half of them, even if the mirror direction itself is at this angle.
             candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
             candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":
@@ -276,9 +279,10 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
 
 
 def by_an_order(rng, lights, views, heightfield, coherence):
-    """Return views near the diffraction order that is nearest to each given view at a random wavelength.
+    """Return for each view a direction near the diffraction order that is nearest to it at a random wavelength.
 
-    Distances from the order have the width of its lobe as their standard deviation. Views below the horizon get z = −1.
+    Deviations from the order are normally distributed with the width of its lobe. If the result would be below the
+    horizon, its z is −1.
     """
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
@@ -299,7 +303,7 @@ def by_an_order(rng, lights, views, heightfield, coherence):
 def a_grid(rng, case, most):
     """Return a configuration with a grid of views in row order under one light.
 
-    Grid points outside the unit disc become directions below the horizon.
+    Grid points are the x and y of the views. Points outside the unit disc become directions below the horizon.
     """
     sides = [side for side in SIDES if side * side <= max(most, 64 * 64) * (4 if most == MOST else 1)]
     side = sides[rng.integers(len(sides))]
@@ -330,7 +334,7 @@ def a_map(rng, case, most):
 
 @functools.cache
 def body(name):
-    """Return the mesh of a body by its name."""
+    """Return the mesh of a body by its name: "snake", "disc" or "tube"."""
     if name == "snake":
         return wd.meshes.snake(segments=2)
     if name == "disc":

@@ -1,4 +1,4 @@
-"""Error measures of colours (n, 3) relative to exact colours, as used in charts and frames."""
+"""Error measures of colours (n, 3) relative to exact colours."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import warnings
 
 import numpy as np
 
-# Floor f of relative errors, as a share of the reference luminance Y*. Limit: darker colours are judged by absolute
-# errors; a doubled value hides errors of dim directions.
+# Floor f of relative errors, as a share of the reference luminance Y*. Darker colours are judged by their absolute
+# errors. Limit: a doubled value would hide errors of dim directions.
 FLOOR = 1e-3
 
 
@@ -19,7 +19,7 @@ def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the weighted percentile of values at a share of the total weight, or 0 without values."""
+    """Return the value below which ``share`` of the total weight of the values lies, or 0 without values."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)
@@ -34,7 +34,7 @@ def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return the 99th percentile of ΔE2000 under D65. The exposure makes ``brightest`` Y = 1."""
+    """Return P99 of ΔE2000 under D65, over colours with Y <= ``brightest``, at the exposure that scales it to 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

@@ -1,8 +1,8 @@
-"""Errors of calls relative to the float64 reference, on directions that their plans never read.
+"""Errors of random calls relative to the float64 reference, on directions that were not used to make their plans.
 
 A call with fewer directions than ``configurations.FEW`` is evaluated on all illuminated directions. For a larger call,
-at least ``COUNT`` illuminated directions are sampled, none of which its plan has read. If bright directions are rare,
-they are sampled more often and have smaller weights.
+about ``COUNT`` illuminated directions are sampled, none of which the planner's trials used. If bright directions are
+rare, they are sampled more often and have smaller weights.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from warpdiff.planner import trial
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Number of illuminated directions that are sampled. Limit: computing time of the reference.
+# Number of illuminated directions that are sampled from a larger call. Limit: computing time of the reference.
 COUNT = 2000
-# Least number of bright directions in the sample, if the call has as many. With fewer, P99 of bright ones is noisy.
+# Least number of bright directions (Y >= f) in the sample, if the call has as many. With fewer, their P99 is noisy.
 BRIGHT = 600
-# Upper bound of the reference's tolerance: half of this value, and at most half of the tolerance of the call.
+# Tolerance of the reference: half of this value, or half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3
-# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon its spread is so
-# foreshortened that the reference requires half a million wavelengths.
+# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the foreshortened
+# spread of the source in (u, v) is so narrow that the reference requires half a million wavelengths.
 LOWEST_SOURCE = 0.02
-# Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference converges down to this
-# value.
+# Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference does not converge for
+# smaller Y.
 LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions, with a mask of those that the planner's trial used."""
+    """Results of a call for its illuminated directions. ``read`` marks directions that the planner's trials used."""
 
     xyz: np.ndarray  # (n, 3)
     to_light: np.ndarray  # (n, 3)
@@ -51,12 +51,12 @@ class Result(NamedTuple):
 
     @property
     def white(self) -> float:
-        """Reference luminance Y* of all directions, from the results of the call."""
+        """Reference luminance Y* of all directions, by the colours that the call returned."""
         return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
 class Figure(NamedTuple):
-    """Error of a call: percentiles 99 of the relative error over all, over bright (Y >= f) and over dim directions."""
+    """Error of a call: P99 of the relative error over all directions, over bright ones (Y >= f), and over dim ones."""
 
     overall: float
     bright: float
@@ -67,13 +67,13 @@ class Figure(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Error that the tolerance must bound."""
+        """Error that must not exceed the tolerance: the larger P99 of all and of bright directions."""
         return max(self.overall, self.bright)
 
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) of all directions that plans read within the ``with`` block."""
+    """Record the scattering vectors (u, v, w) of directions that the planner's trials use in the ``with`` block."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
@@ -91,7 +91,7 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call of a configuration through the public functions, as a user would."""
+    """Make the call that a configuration describes, by public functions, and return its results."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,
@@ -136,7 +136,7 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
 
 
 def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return indices of a sample of a call's directions, and the number of directions that each represents."""
+    """Return indices of a sample of a call's directions, and for each the number of directions it represents."""
     count = len(result.xyz)
     if count < FEW:
         return np.arange(count), np.ones(count)
@@ -169,10 +169,10 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 
 
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
-    """Return the error of XYZ relative to the reference, both (n, 3) and all illuminated.
+    """Return the error of XYZ (n, 3) relative to the reference ``exact``, for illuminated directions.
 
-    The floor f has a lower limit. Y* is that of the reference, or that of the whole call if it is smaller. A sample may
-    contain a mirror reflection that is rare in the call.
+    The floor f is at least ``LEAST``. Y* is that of the sampled directions, or that of the whole call, ``white``, if it
+    is smaller: the sample may contain mirror reflections more often than the call does.
     """
     weights = np.ones(len(exact)) if weights is None else weights
     distances = np.linalg.norm(xyz - exact, axis=1)

@@ -1,8 +1,8 @@
 """NumPy implementations of the methods that the stability suite compares.
 
-The methods are series in float32 and float64, fixed λ steps, and fixed numbers of neighbours. The rows of the series
-come from ``fourier_coefficients`` and ``phase_series`` of ``warpdiff.diffraction``. For averaged windows, powers are
-summed directly, one point at a time. The references are in ``reference`` and ``warpdiff.diffraction.direct_sum``.
+The methods are series expansions in float32 and float64, sums over wavelengths with fixed steps, and fixed numbers of
+neighbours. The Fourier coefficients are computed by ``fourier_coefficients`` and ``phase_series`` of
+``warpdiff.diffraction``; their sums are computed here, in NumPy.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from warpdiff.optics import colorimetry
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
-# Number of terms of the published shader (n = 0 … 36).
+# Number of terms of the published Taylor series (n = 0 … 36).
 PUBLISHED_TERMS = 37
-# Exponent at which a window's Gaussian is truncated, exp(−36) = 2e-16. Limit: rounding of float64.
+# Exponent at which a window's Gaussian is truncated. Derived: exp(−36) = 2e-16, the rounding error of float64.
 DEPTH = 36.0
-# Luminance, relative to a mirror, below which the library counts light as darkness.
+# Luminance, relative to a mirror, below which the library treats a direction as dark.
 DARK = 1e-10
 # Largest number of values in a temporary array. Limit: memory.
 CHUNK = 1 << 21
@@ -40,9 +40,9 @@ def best_effort(call, *args, **keywords):
 
 
 def outcome(call, *args, **keywords):
-    """Return the result of a strict library call and its messages.
+    """Return the result of a library call, with the text of its error or warnings.
 
-    The messages are an error or all warnings as one string, which is empty without messages.
+    The result is None after an error. The text is empty if there is neither an error nor a warning.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
@@ -61,7 +61,7 @@ def outcome(call, *args, **keywords):
 
 
 def percentile_99(errors):
-    """Return the 99th percentile. It is infinite if a value that it depends on is infinite or not a number."""
+    """Return the 99th percentile. It is infinite if it lies at or between values that are infinite or not a number."""
     finite = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(invalid="ignore"):
         percentile = float(np.percentile(finite, 99.0))
@@ -77,7 +77,7 @@ def colour_error(xyz, truth):
 
 
 def spectral_error(rho, truth):
-    """Return the 99th percentile of |Δρ| / max(ρ, floor). The floor is a thousandth of percentile 99 of ρ."""
+    """Return the 99th percentile of |Δρ| / max(ρ, f). The floor f is a thousandth of the 99th percentile of ρ."""
     floor = max(1e-3 * np.percentile(truth, 99.0), DARK)
     with np.errstate(all="ignore"):
         moved = np.abs(np.asarray(rho, dtype=np.float64) - truth)
@@ -90,7 +90,8 @@ def spectral_error(rho, truth):
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
     """Return a height field with a single row across fingers.
 
-    In the plane of incidence, a view crosses its diffraction orders one after the other.
+    Its diffraction orders lie in one plane. A view that moves in the plane of incidence crosses them one after the
+    other.
     """
     heightfield = wd.gratings.fingers(
         size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5
@@ -103,7 +104,7 @@ def in_plane(count, largest, seed=0):
     """Return lights and views (count, 3) in the xz-plane with 0.02 <= |u| <= largest. |u| is log-uniform."""
     rng = np.random.default_rng(seed)
     u = np.exp(rng.uniform(math.log(0.02), math.log(largest), count))
-    # The sum sin θi + sin θr is u, and both sines are between −0.97 and 0.97.
+    # In this function u is sin θi + sin θr. Both sines must be between −0.97 and 0.97.
     light = rng.uniform(np.maximum(-0.97, u - 0.97), np.minimum(0.97, u + 0.97))
     x = np.stack([light, u - light]) * rng.choice([-1.0, 1.0], count)
     pair = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=-1)
@@ -124,8 +125,8 @@ def with_lateral(count, order_rate, seed=0):
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
-        # The tangential components of light and view lie in the unit disc, and their sum is fixed. The light's
-        # component therefore lies in the intersection of the disc with a copy that is moved by this sum.
+        # The components of light and view along the surface lie in the unit disc, and their sum is fixed. The component
+        # of the light therefore lies in the intersection of this disc and a second one, which is moved by the sum.
         x = -order_rate / 2.0 + (1.0 - order_rate / 2.0) * rng.uniform(-1.0, 1.0)
         y = math.sqrt(1.0 - order_rate**2 / 4.0) * rng.uniform(-1.0, 1.0)
         if max(math.hypot(x, y), math.hypot(x + order_rate, y)) < 1.0 - 1e-4 * (2.0 - order_rate):
@@ -142,7 +143,8 @@ def with_lateral(count, order_rate, seed=0):
 def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
     """Return lights and views (count, 3) at an elevation above the horizon.
 
-    The azimuths of views are uniform, or within ``spread_deg`` (standard deviation) of the mirror direction.
+    The azimuths of views are uniform, or normally distributed around the mirror direction with the standard deviation
+    ``spread_deg``.
     """
     rng = np.random.default_rng(seed)
     phi = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -154,9 +156,10 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 
 
 def near_resonance(heightfield, away, wavelength_um, seed=7):
-    """Return lights and views (n, 3) in the plane of one row, near resonances of its periods.
+    """Return lights and views (n, 3) in the xz-plane, near resonances of a replicated row of heights.
 
-    The phase between periods is a whole number of turns plus or minus up to ``away`` turns.
+    At a resonance, the phase between neighbouring periods is a whole number of turns. Here it differs by up to ``away``
+    turns.
     """
     rng = np.random.default_rng(seed)
     orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
@@ -168,11 +171,11 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
     return np.broadcast_to(light, views.shape), views
 
 
-# Series of the averaged power spectrum.
+# Series of the power spectrum under an averaged window.
 
 
 class Rows(NamedTuple):
-    """Fourier coefficients as products of rows of numbers and a basis in κ."""
+    """Fourier coefficients or their powers as products: one row of numbers per coefficient, and a common basis in κ."""
 
     values: np.ndarray  # (my, mx, terms), complex amplitudes or real powers
     basis: object  # function of κ (m,) that returns (m, terms)
@@ -180,9 +183,9 @@ class Rows(NamedTuple):
 
 
 def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
-    """Return all Fourier coefficients of a height field for a range of κ, in float32 or float64.
+    """Return all Fourier coefficients of a height field, or their powers, for a range of κ, in float32 or float64.
 
-    The method "exact" is accurate to rounding errors.
+    With the method "exact", they are accurate to rounding errors.
     """
     block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128
@@ -191,8 +194,9 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
         values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
-    # The other methods sample the coefficients at Chebyshev nodes in κ. The number of nodes is sufficient for
-    # interpolation to rounding errors, or it equals the number of terms of the method.
+    # The other methods interpolate between samples of the coefficients at Chebyshev nodes in κ. For "power", the number
+    # of nodes is the number of terms. For "exact" and "low-rank", it is so large that interpolation errors are rounding
+    # errors.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
@@ -209,7 +213,7 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         values, to_series = values @ functions, functions.T @ to_series
 
     def basis(kappa):
-        # Rounding may move values of κ at the ends of the interpolation range beyond it, so that they are clipped.
+        # By rounding, values of κ may lie slightly outside of the interpolation range. They are moved to its ends.
         position = np.clip((kappa - middle) / half, -1.0, 1.0)
         chebyshev = np.polynomial.chebyshev.chebvander(position, count - 1)
         return (chebyshev @ to_series.T).astype(dtype)
@@ -222,7 +226,7 @@ def windowed_powers(
     heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
     neighbour_extent=None, floor=False,
 ):  # fmt: skip
-    """Return ⟨|P|²⟩, averaged over all positions of the Gaussian window, shape (n, m).
+    """Return ⟨|P|²⟩ of directions and wavelengths, averaged over all positions of a Gaussian window, shape (n, m).
 
     Args:
         heightfield: Height field.
@@ -231,10 +235,11 @@ def windowed_powers(
         wavelengths_um: Wavelengths [µm], shape (m,).
         sigma: Standard deviation of the window [µm].
         method: One of ``METHODS`` or "exact".
-        terms: Number of terms of the series.
-        dtype: Floating-point type of coefficients and sums. Positions have the type of the directions.
-        neighbour_extent: Number of neighbours on either side; None means all that contribute.
-        floor: Whether floor() finds the middle neighbour, instead of rounding.
+        terms: Number of terms of the series; ignored by "exact".
+        dtype: Floating-point type of coefficients and sums. Positions among the coefficients are computed in the type
+            of ``lights``.
+        neighbour_extent: Number of coefficients on either side of the central one; None means all that contribute.
+        floor: Whether the central coefficient is found by floor(), instead of by rounding.
     """
     scattering_vectors = -(lights + views)
     tau = (1.0 / np.asarray(wavelengths_um)).astype(lights.dtype)
@@ -248,7 +253,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # An axis with one sample is constant, so that only its order 0 exists.
+        # Along an axis with one sample, the heights are constant, and only the order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
@@ -266,7 +271,7 @@ def windowed_powers(
 
 
 def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
-    """Return the reflectance ρ, shape (n, m), from ``windowed_powers``."""
+    """Return the reflectance ρ, shape (n, m). ``keywords`` are arguments of ``windowed_powers``."""
     return reference.gain(lights, views)[:, None] * windowed_powers(
         heightfield, lights, views, wavelengths_um, **keywords
     )
@@ -292,7 +297,7 @@ def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
 def fixed_steps(step_nm):
     """Return wavelengths [nm] at fixed steps from 380 nm on, and colour weights (m, 3).
 
-    The weights are those of a plain sum, as published.
+    The weights are samples of the colour products, as in the published method, which does not use quadrature weights.
     """
     wavelengths = np.arange(380.0, 780.0 + 1e-9, step_nm)
     table = reference.products("D65")
@@ -301,21 +306,21 @@ def fixed_steps(step_nm):
 
 
 def fixed_step_colour(heightfield, lights, views, step_nm, coherence):
-    """Return XYZ from exact ρ at wavelengths with a fixed step."""
+    """Return XYZ as a plain sum over wavelengths with a fixed step, with ρ from the float64 reference."""
     wavelengths, weights = fixed_steps(step_nm)
     return reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, coherence) @ weights
 
 
 def wavenumber_colour(heightfield, lights, views, count, coherence):
-    """Return XYZ from exact ρ at equally spaced wavenumbers 1/λ, with the weights of the library."""
+    """Return XYZ as a sum over equally spaced wavenumbers 1/λ, with the library's weights and ρ from the reference."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, "D65")
     return reference.reference_spectral(heightfield, lights, views, 1.0 / wavenumbers, coherence) @ weights
 
 
 def unforeshortened_colour(heightfield, lights, views, source):
-    """Return XYZ with a simplified light source, at steps of 1 nm.
+    """Return XYZ under a light source without foreshortening, as a sum with steps of 1 nm.
 
-    The spread of the source is a disc on the surface for every direction of the light.
+    The spread of the source in (u, v) is a disc for every direction of the light, instead of an ellipse.
     """
     wavelengths, weights = fixed_steps(1.0)
     sums = reference.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
@@ -325,9 +330,10 @@ def unforeshortened_colour(heightfield, lights, views, source):
 
 
 def order_wise_colour(heightfield, lights, views, *, sigma):
-    """Return XYZ from one point per Fourier coefficient, at the wavelength where the direction passes it.
+    """Return XYZ as a sum over Fourier coefficients, with one wavelength per coefficient.
 
-    Each point adds the area of the coefficient's Gaussian times its power.
+    As λ changes, (u, v)/λ moves along a ray of the frequency plane. The wavelength is that at which it is nearest to
+    the coefficient. The summand is the coefficient's power there times the integral of its Gaussian over λ.
     """
     table = reference.products("D65")
     scattering_vectors = -(lights + views)
@@ -361,7 +367,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
             "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
         )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
-        # Wavelength intervals are dλ = dτ/τ² [nm], for colour products at steps of 1 nm.
+        # An interval of wavelengths is dλ = dτ/τ², here in nm, because the colour products have steps of 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
         area *= math.sqrt(2.0 * math.pi) * width / tau**2 * 1e3
         curves = np.stack([np.interp(1e3 / tau, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -369,13 +375,13 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     return result
 
 
-# Factors of replicated periods.
+# Factors of replicated periods: ratio of |P|² of N periods to |P|² of one.
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return |(p + iq)/N|² of N periods (Single 2014, eq. 3.47, where N + 1 stands for N).
+    """Return the factor |(p + iq)/N|² of N periods by the published formula (Single 2014, eq. 3.47, with N + 1 for N).
 
-    ``turns`` is the phase between periods in turns.
+    ``turns`` is the phase between neighbouring periods, in turns.
     """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)
@@ -387,9 +393,10 @@ def published_replicas(turns, periods, dtype=np.float64):
 
 
 def plain_replicas(turns, periods, dtype=np.float64):
-    """Return [sin(πNt)/(N sin(πt))]² of N periods without special cases.
+    """Return the factor [sin(πNt)/(N sin(πt))]² of N periods by direct evaluation, for a phase of t turns.
 
-    The argument is not reduced, and the limit at whole turns is not taken.
+    t is not reduced to its distance from an integer, and integers, where the quotient is 0/0, are not treated
+    separately.
     """
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
@@ -397,7 +404,7 @@ def plain_replicas(turns, periods, dtype=np.float64):
 
 
 def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
-    """Return |mean over one patch of one row|² between its orders, from the 2·neighbour_extent + 1 nearest orders."""
+    """Return |P|² of one patch with one row, by interpolation between its 2·neighbour_extent + 1 nearest orders."""
     n, length = heightfield.shape[1], heightfield.size_um[1]
     coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
     t = scattering_vector[0] / wavelength_um * length

@@ -12,12 +12,12 @@ import warpdiff as wd
 
 
 def scaled(fov_deg: float, factor: float) -> float:
-    """Return the field of view [deg] of a picture that is ``factor`` times as high."""
+    """Return the vertical field of view [degrees] of a picture that is ``factor`` times as high, with equal pixels."""
     return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
 
 
 def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """Return a view with ``points`` × ``points`` points per pixel and a margin of ``margin`` additional pixels."""
+    """Return a view with ``points`` × ``points`` pixels for each pixel of a view and of a margin around it."""
     width, height = view.width + 2 * margin, view.height + 2 * margin
     fov = scaled(view.fov_y_deg, height / view.height)
     return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)

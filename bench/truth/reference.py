@@ -1,11 +1,12 @@
 """Reference colours of directions and pixels in NumPy and float64; shares no code with the library.
 
-For a window or a light source, H_rs(κ) comes from FFTs of exp(2πiκh) at Chebyshev nodes in κ. It is interpolated
-between the nodes to rounding errors. All coefficients within nine widths of a direction are included.
+For a window or a light source, the coefficients H_rs(κ) are computed by FFTs of exp(2πiκh) at Chebyshev nodes in κ. The
+nodes are dense enough that interpolation errors are rounding errors. All coefficients within nine standard deviations
+of (u, v)/λ are included.
 
-For a replicated patch, the sum over one patch is explicit at Chebyshev nodes in 1/λ, and interpolated to rounding
-errors. The factor of the periods has a closed form. The integral over λ is refined until it converges. Tests compare
-the reference with ``direct``. It is fast enough for whole pictures and sweeps.
+For a replicated patch, the height samples of one patch are summed at Chebyshev nodes in 1/λ, with interpolation between
+them. The factor of the periods has a closed form. In both cases, the integral over λ is refined until it converges.
+Tests compare this reference with the direct sum (``warpdiff.diffraction.direct_sum``), which is too slow for pictures.
 """
 
 from __future__ import annotations
@@ -20,14 +21,16 @@ from bench.truth import flat_materials
 from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from bench.truth.errors import FLOOR, reference_luminance
 
-# Distance in standard deviations within which coefficients contribute. Limit: exp(−9²/2) = 3e-18 is negligible.
+# Distance in standard deviations of the Gaussian within which coefficients contribute. Limit: exp(−9²/2) = 3e-18 is
+# negligible.
 WIDTHS = 9.0
-# Exponent at which the Gaussian is truncated. Derived: exp(−WIDTHS²/2).
+# Exponent at which the Gaussian is truncated. Derived: the exponent at the distance `WIDTHS`.
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# Number of Gauss-Legendre nodes per cell of the quadrature, and initial size of a cell: in standard deviations of a
-# Gaussian, and in periods of an oscillation. Cells are halved until the integral converges.
+# `POINTS` is the number of Gauss-Legendre nodes per cell of the quadrature over 1/λ. The other two are the initial size
+# of a cell: in standard deviations of a Gaussian in 1/λ, and in periods of an oscillation. Cells are halved until the
+# integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
@@ -35,20 +38,22 @@ PERIODS_PER_CELL = 1.2
 FEWEST_CELLS = 8
 # Largest number of quadrature cells. Limit: memory; a reference that requires more is refused.
 MOST_CELLS = 1 << 19
-# Number of wavenumbers per look-up of coefficients. Limit: more wavenumbers have more coefficients in common.
+# Number of wavenumbers that are evaluated together, with all coefficients near any of them. Limit: with more, most of
+# these coefficients are far from most wavenumbers.
 BLOCK = 128
-# Largest number of wavenumbers per evaluation of a replicated patch, and of height samples per sum. Limit: memory.
+# Largest number of wavenumbers that are evaluated at once for a replicated patch, and largest number of height samples
+# per partial sum. Limit: memory.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
-# Least Y that must converge, relative to a mirror. Limit: the truncation at nine widths leaves steps below this value,
-# which no quadrature resolves.
+# Least Y that must converge, relative to a mirror. Limit: the truncation at nine standard deviations causes steps of
+# about this size, at which no quadrature converges.
 LEAST = 1e-10
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
 class Step(NamedTuple):
-    """Coherence of the reference. It has the attributes of ``wd.Coherence``, which is accepted as well."""
+    """Coherence as the reference uses it: some attributes of ``wd.Coherence``, which is accepted as well."""
 
     kind: str = "averaged"
     sigma_um: float | None = None
@@ -63,7 +68,7 @@ def step_of(coherence, sigma, centre):
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """Return an object that evaluates ⟨|P|²⟩ of scattering vectors (n, 3) for wavelengths between two limits [µm]."""
+    """Return an object that computes ⟨|P|²⟩ of scattering vectors (n, 3) at wavelengths between two limits [µm]."""
     return (
         Replicas(heightfield, step)
         if step.kind == "replicas"
@@ -79,7 +84,7 @@ def chebyshev_nodes(count):
 def chebyshev_cardinals(position, count):
     """Return the cardinal polynomials of the Chebyshev nodes at positions (m,), shape (m, count).
 
-    Each polynomial is 1 at one node and 0 at the others.
+    A cardinal polynomial is 1 at one node and 0 at all others.
     """
     order = np.arange(count)
     transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
@@ -88,12 +93,12 @@ def chebyshev_cardinals(position, count):
 
 
 def chebyshev_terms(argument):
-    """Return the number of terms that represent exp(ix) to rounding errors for |x| up to ``argument``."""
+    """Return the number of Chebyshev nodes that represent exp(ix), |x| <= ``argument``, to rounding errors."""
     return math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 10.0)
 
 
 class Coefficients:
-    """Coefficients H_rs(κ) of a height field, and their power under a window or a light source."""
+    """Coefficients H_rs(κ) of a height field, and ⟨|P|²⟩ under a window or a light source."""
 
     def __init__(self, heightfield, step, scattering_vectors, shortest, longest):
         self.step = step
@@ -105,12 +110,13 @@ class Coefficients:
         self.low = kappas.min()
         self.half = max(np.ptp(kappas) / 2.0, 1e-9)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # The mid-range height is subtracted. Its phase is common to all coefficients, and the phase range in κ becomes
-        # smallest.
+        # The mid-range height is subtracted. This changes only a phase that is common to all coefficients, and reduces
+        # the number of nodes in κ.
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients near at least one direction are stored, with their positions.
+        # Only coefficients near at least one of the directions are stored. `places` maps the index of an order to its
+        # position.
         radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         indices, self.places = [], []
         for n, length, across in zip(
@@ -120,7 +126,7 @@ class Coefficients:
             indices.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
             self.places[-1][indices[-1]] = np.arange(len(indices[-1]))
-        # Each row is one coefficient: its real parts at all nodes, then its imaginary parts.
+        # `rows` has the real and imaginary parts of each coefficient at all nodes, shape (my, mx, 2, nodes).
         self.rows = np.empty((len(indices[0]), len(indices[1]), 2, self.terms))
         for node, at in enumerate(chebyshev_nodes(self.terms)):
             sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[
@@ -133,16 +139,15 @@ class Coefficients:
         self.centre = centre
 
     def metric(self, to_light):
-        """Return the matrix A of the Gaussian exponent a(τ) · (q − q_rs)ᵀ A (q − q_rs)."""
+        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around a coefficient."""
         if self.step.kind != "source":
             return np.eye(2)
-        # A disc in the sky becomes an ellipse on the surface. Its axis towards the light is shorter by the factor cos
-        # θi.
+        # A disc in the sky is an ellipse in (u, v): its axis towards the light is shorter by the factor cos θi.
         across = to_light[:2]
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """Return the factor a(τ) of the Gaussian exponent [µm²]."""
+        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) around a coefficient."""
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
@@ -151,16 +156,17 @@ class Coefficients:
     def resolution(self, scattering_vector, to_light):
         """Return the largest quadrature cell in τ for one direction, and the least result that must converge.
 
-        The cell resolves all coefficients near the path of the direction as τ changes.
+        The cell is small enough to resolve the Gaussian of each coefficient that τ·(u, v) passes as τ changes.
         """
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The width in λ is proportional to λ. The nearest coefficients may lie a few widths beyond the direction.
+            # The Gaussian's standard deviation in τ is τ²·spread/|q|, and smallest at the smallest τ. Coefficients up
+            # to about |q|/τ = |(u, v)| + 4·spread matter.
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # The width also holds for centred windows, because the power of a sum of Gaussians contains products of
-            # two.
+            # This is the Gaussian's standard deviation in τ for averaged windows. It is valid for centred windows, too:
+            # each Gaussian is wider by √2, but the power contains products of two Gaussians.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -175,9 +181,9 @@ class Coefficients:
         return result
 
     def _power(self, scattering_vector, metric, tau):
-        """Return ⟨|P|²⟩ at a few wavenumbers in ascending order.
+        """Return ⟨|P|²⟩ of one scattering vector at a few wavenumbers in ascending order, shape (m,).
 
-        All coefficients near any of the wavenumbers are evaluated at all of them.
+        Coefficients that are near τ·(u, v) at any of the wavenumbers are evaluated at all of them.
         """
         across = scattering_vector[:2]
         radius = math.sqrt(DEPTH / self.rate(tau).min())
@@ -188,12 +194,12 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # An axis with one sample is constant, so that only its order 0 exists.
+            # Along an axis with one sample, the heights are constant, and only the order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
-        # Distance of each Fourier coefficient from the path of (u, v)/λ as λ changes, in the metric of the Gaussian's
-        # exponent.
+        # `away` is the vector to each coefficient from the nearest point of the path τ·(u, v). Its length is measured
+        # in the metric A.
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
@@ -201,8 +207,8 @@ class Coefficients:
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
-        # The exponent (τU − q)ᵀ A (τU − q) is split into a squared distance along the path, from its nearest point, and
-        # one across it.
+        # With U = (u, v), the exponent (τU − q)ᵀ A (τU − q) is the sum of a squared distance along the path, from the
+        # point of the path nearest to q, and the squared distance of q from the path.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
         across_square = np.einsum("ki,ij,kj->k", away, metric, away)
@@ -219,12 +225,13 @@ class Coefficients:
 
 
 class Replicas:
-    """Reflectance of a replicated height field with coherent periods."""
+    """Replicated height field with coherent periods, and its |P|²."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # The origin is moved to the middle. This changes a phase common to all samples, and makes the phases smallest.
+        # The origin is moved to the middle of the patch. This changes only a phase that is common to all samples, and
+        # reduces the number of nodes in τ.
         x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
@@ -234,7 +241,7 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest cell in τ that resolves the lobes of the periods, and the least result that counts."""
+        """Return the largest cell in τ that resolves lobes of the periods, and the least result that must converge."""
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
             abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)
@@ -259,9 +266,9 @@ class Replicas:
         return result
 
     def _patch(self, position):
-        """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch, except for a common phase.
+        """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch, except for a phase common to all samples.
 
-        Positions in τ run from 0 to 1.
+        ``position`` is relative to the range of τ: 0 at its lower end, 1 at its upper end.
         """
         at_nodes = self.latest[1]
         panels, terms = at_nodes.shape
@@ -270,9 +277,9 @@ class Replicas:
         return np.einsum("mk,mk->m", basis, at_nodes[panel])
 
     def _panels(self, scattering_vector, low, span):
-        """Return the mean of exp(2πiτ(ux + vy + wh)) at Chebyshev nodes, shape (panels, nodes).
+        """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch at Chebyshev nodes in τ, shape (panels, nodes).
 
-        The nodes lie in panels of equal length in τ, from ``low`` on.
+        The range of τ, which begins at ``low`` and has the length ``span``, is divided into panels of equal length.
         """
         argument = math.pi * span * (np.abs(scattering_vector) @ self.extent)
         panels = max(1, math.ceil(argument / 5.0))
@@ -282,8 +289,9 @@ class Replicas:
         at_nodes = np.zeros((panels, terms), dtype=complex)
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
-            # Each node is the sum of a panel's middle and an offset, so that its exponential is a product. Middles have
-            # equal distances, and the second half of the offsets is the negative of the first half.
+            # The position of a node is the middle of its panel plus an offset, so that exp(i…) at the node is a product
+            # of two factors. Middles have equal distances, which gives their factors by recurrence. Offsets are
+            # symmetric, so that the factors of the second half are complex conjugates.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):
@@ -304,7 +312,7 @@ def exp_i(phase):
 
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
-    """Return the gain C·M of unit vectors (n, 3) in the local frame, divided by cos θi for a light source.
+    """Return the gain C·M of unit vectors (n, 3) in the local frame; with ``source``, it is divided by cos θi.
 
     The gain is 0 where one of the vectors is below the surface.
     """
@@ -344,14 +352,15 @@ def products(illuminant):
 def quadrature(cells, illuminant):
     """Return wavenumbers τ [1/µm] and weights (m, 3) of a quadrature with cells of equal length in τ.
 
-    The end points of the range are added at full weight. In each cell the quadrature integrates, over λ, the polynomial
-    in τ through the nodes times the linear interpolant of the colour products. Kinks of the interpolant therefore need
-    no nodes.
+    In each cell the integrand is a product: a polynomial in τ through the values at the nodes, times the colour
+    products, which are interpolated linearly between integer wavelengths. The weights integrate this product over λ
+    exactly. The ends of the range are nodes, too; half of the colour products are added to them there, because colours
+    are defined as sums over integer wavelengths, in which the ends count fully, and not half.
     """
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # The integrand is smooth between neighbouring edges and kinks.
+    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by 6 points.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)
@@ -376,7 +385,7 @@ def reference_spectral(
 ):  # fmt: skip
     """Return ρ of unit vectors (n, 3) in the local frame, shape (n, m).
 
-    The coherence is a name with ``sigma``, or an object.
+    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
@@ -405,15 +414,15 @@ def reflected(material, to_light, to_view, wavelengths_um):
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
     """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (n, 3).
 
-    The step in wavelength is halved until XYZ changes by less than a twentieth of the tolerance.
+    The cells of the quadrature are halved until XYZ changes by less than a twentieth of the tolerance.
     """
     result = np.zeros((len(scattering_vectors), 3))
     if len(scattering_vectors) == 0:
         return result
     sums = sum_for(heightfield, step, scattering_vectors, 0.38, 0.78)
     for index, (scattering_vector, light) in enumerate(zip(scattering_vectors, to_light, strict=True)):
-        # The result is the finer of two quadratures that agree, so that no narrow peak lies between its nodes. Numbers
-        # of cells are powers of 2, so that few different quadratures are made.
+        # Two quadratures, the second with cells of half the size, must agree, because a narrow peak may lie between the
+        # nodes of one. Numbers of cells are powers of 2, so that few different quadratures are computed.
         largest, least = sums.resolution(scattering_vector, light)
         cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
         before = None
@@ -440,7 +449,7 @@ def reference_reflectance(
 ):  # fmt: skip
     """Return XYZ of unit vectors (n, 3) in the local frame, shape (n, 3).
 
-    The coherence is a name with ``sigma``, or an object.
+    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     ior = math.inf if material is not None else ior
@@ -456,7 +465,7 @@ def reference_reflectance(
 
 
 class Body(NamedTuple):
-    """A mesh in world coordinates with its vertex fields.
+    """A mesh in world coordinates with normals, tangents, mirroring and texture coordinates at its vertices.
 
     The texture is sRGB with 8 bits, and its row 0 is at v = 1.
     """
@@ -471,7 +480,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, surface, texture=None):
-        """Return the arrays of a prepared surface of the library, which the reference uses as inputs."""
+        """Return the arrays of a mesh that the library has prepared. They are inputs of the reference."""
         fields = (getattr(surface, name) for name in ("normals", "tangents", "handedness", "uvs"))
         place = surface.vertices.astype(np.float64) * surface.radius + surface.centre
         return cls(place, surface.faces, *(field.astype(np.float64) for field in fields), texture)
@@ -483,8 +492,8 @@ class Pixels(NamedTuple):
     Attributes:
         xyz: XYZ, shape (k, 3).
         hit: Whether the pixel's ray hits the mesh.
-        illuminated: Whether any light illuminates the hit.
-        unsure: Whether float32 may decide differently about hit or shadow.
+        illuminated: Whether at least one light illuminates the hit.
+        unsure: Whether rounding to float32 may change whether the pixel is hit or in shadow.
         cos_geometric: Cosine between the last light and the face normal on the viewer's side.
     """
 
@@ -496,7 +505,7 @@ class Pixels(NamedTuple):
 
 
 def bilinear(texture, uv):
-    """Return linear RGB of a repeating sRGB texture (h, w, 3) at texture coordinates (k, 2), by bilinear lookup."""
+    """Return linear RGB of an sRGB texture (h, w, 3) at texture coordinates (k, 2), by bilinear interpolation."""
     encoded = np.asarray(texture, dtype=np.float64) / 255.0
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     height, width = linear.shape[:2]
@@ -511,7 +520,7 @@ def bilinear(texture, uv):
 
 
 def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
-    """Return XYZ of base colours (k, 3), in linear RGB, under the diffraction layer."""
+    """Return XYZ of the pigment under the diffracting surface, for base colours (k, 3) in linear RGB."""
     grid = np.arange(380, 781) * 1e-3
     if step.kind == "source":
         weight = np.full(len(grid), 2.0 * step.spread**2)
@@ -543,7 +552,7 @@ def reference_picture(
         tolerance: Tolerance; the integral over λ converges to a twentieth of it.
         ior: Index of refraction.
         masking: Whether the masking term is applied.
-        pigment: Strength of the texture.
+        pigment: Strength of the pigment.
         shadows: Whether shadow rays are traced.
         smooth: Whether normals are interpolated.
         chunk: Number of rays that are intersected with all faces at a time.
@@ -566,8 +575,8 @@ def reference_picture(
     side = np.where(np.sum(geometric * directions, axis=1) > 0.0, -1.0, 1.0)[:, None]
     start = point
     if smooth:
-        # Shadow rays start on the tangent planes of the corners where the surface is convex (Hanika 2021, "Hacking the
-        # shadow terminator").
+        # Where the surface is convex, shadow rays start from a point outside of the flat face, interpolated between
+        # tangent planes at its corners (Hanika 2021, "Hacking the shadow terminator").
         outward = side[:, :, None] * body.normals[corners]
         below = np.minimum(np.sum((point[:, None] - places) * outward, axis=2), 0.0)
         start = np.einsum("kc,kcd->kd", bary, point[:, None] - below[:, :, None] * outward)
@@ -607,7 +616,7 @@ def reference_picture(
 
 
 class PictureError(NamedTuple):
-    """Error of a picture, from a sample of its pixels."""
+    """Error of a picture, estimated from a random sample of its pixels."""
 
     median: float
     p99: float
@@ -624,9 +633,9 @@ class PictureError(NamedTuple):
 
 
 def stratified(mask, count, seed=0):
-    """Return indices of ``count`` pixels of a mask.
+    """Return indices of ``count`` random pixels of a mask, evenly distributed over its rows.
 
-    Each is random within one of ``count`` equal runs along the rows.
+    The pixels of the mask, in row order, are divided into ``count`` equal parts. One pixel is drawn from each part.
     """
     inside = np.flatnonzero(mask)
     edges = np.linspace(0.0, len(inside), count + 1)
@@ -635,7 +644,7 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """Return the error of XYZ (k, 3) relative to reference ``Pixels``, over the illuminated pixels."""
+    """Return the error of a picture's XYZ (k, 3) relative to reference ``Pixels``, over illuminated pixels."""
     use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
     floor = FLOOR * reference_luminance(exact[:, 1])

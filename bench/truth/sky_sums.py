@@ -1,11 +1,12 @@
 """Reference colours of pixels under a sky or a disc light, by sums of the reflectance over directions, with shadows.
 
-The sums use no code of environments, disc lights, shadow grids or footprints.
+The sums use none of the library's code for environments, disc lights, shadows or footprints.
 
 The rays of a pixel are distributed over its filter, a Gaussian with σ = 0.5 pixels, truncated at 1.5 pixels. Each ray
-has its own direction to the light. Half of the directions are drawn from the light and half from around the mirror
-direction (balance heuristic). Shadow rays use a separate hierarchy. The solid angle dω cos θ is dx dy in the shading
-frame. The radiance is ρ L dω 4πσ²/λ², for light whose spectrum is that of its RGB under D65 (Mallett and Yuksel 2019).
+has one direction to the light: half of these directions are drawn from the light, and half around the mirror direction
+(multiple importance sampling with the balance heuristic). Shadow rays are traced through a hierarchy of the mesh that
+is built here. An element of solid angle dω from the radiance L adds 4πσ²/λ² · ρ L dω. The spectrum of L is that of its
+RGB under D65 (Mallett and Yuksel 2019).
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of traced rays along each axis of a pixel. Samples are rounded to them. Limit: fewer distort the filter.
+# Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. Limit: a
+# smaller number distorts the filter.
 _ACROSS = 16
-# Share of the mirror-centred directions that lie within the mirror lobe. Any share is unbiased; it affects the noise.
+# Share of the directions drawn around the mirror direction that lie within the mirror lobe. The mean of the sums does
+# not depend on it, only their noise does.
 _CORE = 0.25
-# Number of directions whose colours are looked up together. Limit: memory.
+# Number of directions whose colours are computed in one call. Limit: memory.
 _DIRECTIONS = 1 << 17
 # Length of shadow rays, in mesh radii. Derived: larger than any distance between two points of a mesh.
 _FAR = 4.0
@@ -84,8 +87,8 @@ class SkySums:
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
         """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, (n, 3).
 
-        Rays and light directions are stratified independently. Sampling only the disc would miss a narrow mirror lobe
-        with nearly all rays.
+        Rays and light directions are stratified independently. Half of the light directions are drawn around the mirror
+        direction, because nearly all samples of the disc alone would miss a narrow mirror lobe.
         """
         axis = np.asarray(light.to_light)
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -95,7 +98,7 @@ class SkySums:
         solid_angle = 2.0 * math.pi * (1.0 - narrowest)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Uniform random numbers become directions that are uniform over the solid angle of the disc.
+            # Uniform random numbers are transformed to directions that are uniform over the solid angle of the disc.
             cosine = 1.0 - share[:, 0] * (1.0 - narrowest)
             sine, around = np.sqrt(1.0 - cosine**2), 2.0 * math.pi * share[:, 1]
             return np.asarray(np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=-1) @ ends)
@@ -128,15 +131,15 @@ class SkySums:
         cumulative = np.cumsum(share_of)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # The sky is interpolated linearly, so that each sky pixel extends one pixel further to all sides. The
-            # position within it has a triangular distribution.
+            # Between pixel centres the sky is interpolated linearly. The contribution of a sky pixel therefore extends
+            # to the centres of its neighbours, and is triangular along each axis.
             pixel = np.minimum(np.searchsorted(cumulative, share[:, 0]), cumulative.size - 1)
             within = (share[:, 0] - np.append(0.0, cumulative)[pixel]) / share_of.ravel()[pixel]
             down, right = (_triangular(number) for number in (within, share[:, 1]))
             polar = (pixel // width + 0.5 + down) / height * math.pi
             azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
             along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
-            # Samples beyond a pole become zero vectors, whose density is 0.
+            # Samples beyond a pole become zero vectors, which do not contribute because their probability density is 0.
             return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
 
         def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -164,7 +167,8 @@ class SkySums:
     ) -> NDArray[np.float64]:  # fmt: skip
         """Return sums over directions, half of them drawn from the light and half around the mirror direction.
 
-        ``draw`` and ``density`` describe directions from the light. ``colours`` returns XYZ per solid angle.
+        ``draw`` returns directions to the light from random numbers, ``density`` their probability per solid angle, and
+        ``colours`` the reflected XYZ per solid angle.
         """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
@@ -197,7 +201,7 @@ class SkySums:
         return result
 
     def _occluded(self, origins: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the mesh occludes the light, for each ray."""
+        """Return for each ray whether the mesh occludes it."""
         if self._mesh is None:
             return np.zeros(len(origins), dtype=np.bool_)
         arrays = [wp.array(values, dtype=wp.vec3f, device=self._device) for values in (origins, towards)]
@@ -207,16 +211,16 @@ class SkySums:
 
     @property
     def _mirror(self) -> tuple[float, float]:
-        """Parameters of the mirror-centred directions in (u, v).
+        """Parameters of the distribution over (u, v) from which directions around the mirror direction are drawn.
 
-        They are uniform within the first value; beyond it the logarithm of their radius is uniform. The second value is
-        the logarithm of the ratio of the largest radius to the first value.
+        The first value is a radius |(u, v)| within which the density is uniform; beyond it the logarithm of |(u, v)| is
+        uniform. The second value is the logarithm of the ratio of the largest |(u, v)|, 2, to this radius.
         """
         within = 0.05 / (self._coherence.sigma_um or math.inf)
         return within, math.log(2.0 / within)
 
     def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (u, v) of mirror-centred directions, (n, 2), for pairs of uniform random numbers from 0 to 1."""
+        """Return (u, v) of directions around the mirror direction, (n, 2), for pairs of uniform random numbers."""
         within, digits = self._mirror
         radius = np.where(
             share[:, 0] < _CORE,
@@ -227,7 +231,7 @@ class SkySums:
         return np.stack([radius * np.cos(around), radius * np.sin(around)], axis=-1)
 
     def _density(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the probability density of mirror-centred directions over (u, v), by |(u, v)|."""
+        """Return the probability density over (u, v) of directions around the mirror direction, for radii |(u, v)|."""
         within, digits = self._mirror
         beyond = (1.0 - _CORE) / (2.0 * math.pi * digits * np.maximum(radius, within) ** 2)
         return np.where(radius < within, _CORE / (math.pi * within**2), np.where(radius < 2.0, beyond, 0.0))
@@ -236,20 +240,20 @@ class SkySums:
     def _rays(
         pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Return the indices of traced rays that represent a pixel's filter, one in each of its ``across``² strata."""
+        """Return indices of traced rays that sample a pixel's filter, one in each of the ``across``² strata."""
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
 
 def _triangular(number: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numbers with a triangular distribution from −1 to 1, from uniform numbers between 0 and 1."""
+    """Return numbers with a triangular distribution from −1 to 1, for uniform numbers between 0 and 1."""
     return np.where(number < 0.5, np.sqrt(2.0 * number) - 1.0, 1.0 - np.sqrt(np.maximum(2.0 - 2.0 * number, 0.0)))
 
 
 def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
-    """Return the spectra L/λ² of red, green and blue light, each with a scale.
+    """Return the spectra of red, green and blue light under D65, divided by λ², each with a factor for its brightness.
 
-    The scale is 4πσ² times the channel's contribution to Y, relative to Y of D65.
+    The factor is 4πσ² times Y of the spectrum (λ in µm), relative to Y of D65.
     """
     colour: Any = colour_science()
     nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)
@@ -267,7 +271,8 @@ def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
 def radiance(sky: NDArray[np.float64], along: NDArray[np.float64], *, beyond: int = 0) -> NDArray[np.float64]:
     """Return the radiance of a sky in directions (n, 3), interpolated linearly between pixel centres.
 
-    The middle column of the sky is at −z and row 0 at +y. The sky may have ``beyond`` additional rows at both poles.
+    The middle column of the sky is at −z and row 0 at +y. ``beyond`` is the number of rows that were added at each
+    pole.
     """
     width, last = sky.shape[1], len(sky) - 1.000001
     height = len(sky) - 2 * beyond

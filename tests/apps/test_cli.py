@@ -24,7 +24,7 @@ SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
 
 
 def run(line, *more):
-    """Return the exit code of a command line, and of further words, which may contain spaces."""
+    """Run a command line, given as a text and as further words that may contain spaces, and return its exit code."""
     return cli.main([*line.split(), *map(str, more)])
 
 
@@ -166,7 +166,7 @@ def test_the_plan_reports_the_requested_coherence_and_method(options, said, tmp_
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # A short coherence window makes planning several seconds faster.
+    # With a short coherence window, ``info`` makes its plan several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out
@@ -354,7 +354,7 @@ def test_the_cache_is_shown_trimmed_and_cleared(tmp_path, monkeypatch, capsys):
 
 
 def run_without_home(code, folder, **environment):
-    """Run Python code for a user without a home folder."""
+    """Run Python code in a process whose user has no home folder."""
     homes = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH")
     names = {key: value for key, value in os.environ.items() if key not in homes}
     names |= {"TMPDIR": str(folder)} | environment
@@ -402,17 +402,17 @@ def test_warnings_are_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
 
 
-# Test pictures are only 18 pixels wide, so their errors are larger, and the warning about errors is ignored.
+# Pictures that are only 18 pixels wide have larger errors than usual, so the warning about errors is ignored.
 TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
 def small_fingers(fingers, *, size_um, pitch_um):
-    """Return fingers on a patch with a sixth of the given width."""
+    """Return fingers on a patch with a sixth of the requested side, as a fast replacement of ``gratings.fingers``."""
     return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
 
 
 def rough(compute, *scene, **options):
-    """Compute a picture or map with a tolerance of 0.3 and a window of 3 µm."""
+    """Compute a picture or map with a tolerance of 0.3 and a window of 3 µm, to make the demonstration fast."""
     return compute(*scene, **options | {"tolerance": 0.3, "coherence": wd.Coherence(sigma_um=3.0)})
 
 

@@ -1,4 +1,4 @@
-"""Table of the soak report: counts and failures."""
+"""Report of the endurance test (``bench.dev.soak``): a table with counts of cases and failures."""
 
 from xml.etree import ElementTree as Xml
 

@@ -1,4 +1,4 @@
-"""Mutation testing: its changes to the code, random draws and tables, and faults of native headers."""
+"""Mutation testing (``bench.dev.mutants``): changes of sources, their random order, scores, and faults of headers."""
 
 import ast
 from collections import Counter
@@ -27,7 +27,7 @@ def nearest(values: "list[9]", *, axis=-1, **options: float) -> int:
 
 @pytest.fixture
 def checkout(tmp_path):
-    """Return a checkout in which each package is a single file."""
+    """Return a checkout in which each package has a single file with the text ``SOURCE``."""
     for folder in mutant_sites.PACKAGES.values():
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "one.py").write_text(SOURCE)

@@ -1,4 +1,4 @@
-"""Peers (competing implementations of the benchmarks) must be correct, or comparisons with them are meaningless."""
+"""Peers, the other programs in the benchmarks, must be correct, or comparisons with them would be meaningless."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ FINE = {"wavelengths": 544, "terms": 16, "neighbour_extent": 1, "rounded": True,
 
 
 def runs(peer):
-    """Return the competing implementation (peer), or skip the test if it cannot run on this machine."""
+    """Return a peer, or skip the test if it cannot run on this machine."""
     if reason := peer.available():
         pytest.skip(reason)
     return peer
 
 
 def called(heightfield, lights, views, coherence):
-    """Return scattering vectors, gains, and the colours of the reference."""
+    """Return scattering vectors and gains for pairs of directions, and their colours by the reference."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
@@ -39,7 +39,8 @@ def test_the_published_algorithm_converges_to_the_reference(name, kind, rng):
 
 @pytest.mark.parametrize("name", SERIES)
 def test_rounding_finds_the_nearest_coefficient_and_floor_does_not(name, rng):
-    # With a window much larger than the patch, the nearest coefficient contributes nearly all of the power.
+    # If the window is much larger than the patch, the coefficient nearest to (u, v)/λ contributes nearly all of the
+    # power.
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), wd.Coherence())
     errors = []
@@ -60,14 +61,13 @@ def test_dr_jit_and_numpy_compute_the_same_at_the_published_setting(rng):
 
 
 def test_lines_of_a_grating_have_the_colours_of_the_reference():
-    # A regular grating has only narrow lines, 7 nm wide in the first order. The analytic model treats them as
-    # infinitely
-    # narrow.
+    # The spectrum of a regular grating has only narrow lines, 7 nm wide in the first order. The analytic model treats
+    # them as infinitely narrow.
     heightfield, period = wd.gratings.lamellar(1.6, 0.126, duty=0.3), 1.6
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="cie")
     angle = np.radians(np.linspace(-80.0, 80.0, 161))
     views = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    # Every second light is half a lobe away from the plane of incidence.
+    # Every second light is moved out of the plane of incidence by half the width of a lobe.
     aside = 0.004 * (np.arange(161) % 2)
     lights = np.stack([np.full(161, 0.3), aside, np.sqrt(1.0 - 0.09 - aside**2)], axis=1)
     scattering_vectors, gains, exact = called(heightfield, lights, views, wd.Coherence())
@@ -86,7 +86,8 @@ def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # Lines are at 0.75 and 0.375 µm. The model ignores the line at 0.375 µm, so only green remains.
+    # With this u, the model has lines at 0.75 µm (green in its colours) and at 0.375 µm. The latter is below its range
+    # of wavelengths, so only green remains.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

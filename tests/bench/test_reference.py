@@ -1,4 +1,4 @@
-"""The reference for pictures equals the direct sum, which is the reference for points, in every regime."""
+"""The float64 reference, which is fast enough for pictures, equals the direct sum for all kinds of surfaces."""
 
 from types import SimpleNamespace
 
@@ -24,7 +24,8 @@ def fingers():
     return gratings.fingers(size_um=3.6, pitch_um=0.09, seed=4)
 
 
-# Height field, window in µm, source diameter in degrees and numbers of periods of each regime.
+# Surfaces and limits of interference: height field, σ of the window [µm], diameter of the source [degrees], and numbers
+# of periods (y, x).
 REGIMES = {
     "sinusoidal": (lambda: gratings.sinusoidal(1.6, 0.4), 16.25, 0.53, (1, 12)),
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
@@ -37,7 +38,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
-    """Return ρ by the direct sum, with the gain of the reference."""
+    """Return ρ by the direct sum, times the gain of the reference."""
     gains = reference.gain(lights, views, source=coherence.kind == "source")
     power = direct_sum.window_power(heightfield, coherence, -lights - views, wavelengths, to_lights=lights)
     return gains[:, None] * power
@@ -48,10 +49,10 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # The angles of incidence reach 85°, where the cosine is 0.087.
+    # ``lowest`` is the cosine of the largest angle of incidence, 85°.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
-    # A third of the views is near the mirror direction and a third near an order, because random views miss narrow
-    # orders.
+    # Random views would miss narrow orders. A third of the views is therefore near the mirror direction, and a third
+    # near an order.
     third = DIRECTIONS // 3
     views[:third] = views[:third] * 0.01 + lights[:third] * np.array([-1.0, -1.0, 1.0])
     near = slice(third, 2 * third)
@@ -71,7 +72,7 @@ def test_spectra_equal_the_direct_sum(name, kind, rng):
 
 
 def integral(heightfield, lights, views, coherence, points=3):
-    """Return XYZ of the direct sum, by Gauss quadrature in cells of 1 nm, in which the colour products are linear."""
+    """Return XYZ by the direct sum, with Gauss quadrature in intervals of 1 nm, in which colour products are linear."""
     at, share = np.polynomial.legendre.leggauss(points)
     nodes = (np.arange(380, 780)[:, None] + 0.5 + at / 2.0).ravel()
     weights = np.tile(share / 2.0, 400)
@@ -93,7 +94,7 @@ def test_colours_equal_the_direct_sum(kind, rng):
 
 
 def resonances(heightfield, lights, views, periods):
-    """Return XYZ of many periods along x: each order is a line of weight 1/N in u L/λ, without light in between."""
+    """Return XYZ of N periods for N → ∞: each order is a line of weight 1/N in uLx/λ; all else is dark."""
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]
     for i, (light, view) in enumerate(zip(lights, views, strict=True)):
@@ -104,13 +105,13 @@ def resonances(heightfield, lights, views, periods):
                 at = np.array([wavelength])
                 illuminated = direct_reflectance(heightfield, light[None], view[None], at, periods)[0, 0]
                 curve = [np.interp(1e3 * wavelength, np.arange(380, 781), table[:, c]) for c in range(3)]
-                # Width dλ in nm of one period of the phase u L/λ.
+                # The phase uLx/λ changes by one turn over this range of wavelengths, |dλ| = λ²/(uLx), here in nm.
                 result[i] += illuminated * np.array(curve) * 1e3 * wavelength**2 / (u * length) / periods.periods[1]
     return result
 
 
 def test_narrow_lines_of_many_periods(rng):
-    """Even narrow lines contribute to the reference: results for thousands of periods equal their limit."""
+    """The reference does not miss narrow lines: with thousands of periods, it approaches the limit of many periods."""
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))
     errors = []
@@ -129,7 +130,7 @@ def test_narrow_lines_of_many_periods(rng):
 
 @pytest.mark.parametrize("kind", ["source", "replicas"])
 def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rng):
-    """Narrow orders must not be missed: results that converged at 0.01 are accurate to 0.01, also near grazing."""
+    """Results at a tolerance of 0.01 are accurate to 0.01/20, so no narrow order was missed, even near grazing."""
     heightfield = fingers()
     lights, views = hemisphere(rng, 24, lowest=0.05), hemisphere(rng, 24)
     views[:4] = lights[:4] * [-1.0, -1.0, 1.0]

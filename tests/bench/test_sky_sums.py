@@ -1,4 +1,4 @@
-"""Sums over directions, the reference for pictures under skies and disc lights, equal closed forms."""
+"""Sums over directions (``bench.truth.sky_sums``), the reference for skies and disc lights, equal closed forms."""
 
 import math
 
@@ -13,17 +13,17 @@ from warpdiff.optics.spectra import colour_science
 
 SIGMA_UM = 8.0
 WINDOW = wd.Coherence(sigma_um=SIGMA_UM)
-# A short coherence window has wide lobes, for which sums over directions have the least noise.
+# A short coherence window, whose wide lobes reduce the noise of sums over directions.
 WIDE = wd.Coherence(sigma_um=1.5)
 FLAT = wd.HeightField(np.zeros((32, 32)), 0.09)
-# The view from above is tilted away from +y, so that azimuths are defined.
+# The camera is above the square, and tilted away from +y, because azimuths are not defined in that direction.
 VIEW = wd.View.orthographic((0.0, 3.0, 2.0), (0.0, 0.0, 0.0), extent_y=0.06, width=8, height=6)
 AXIS = np.array([0.0, 3.0, -2.0]) / math.sqrt(13.0)
 PIXELS = np.argwhere(np.ones((2, 4))) + 2
 
 
 def polar_and_azimuth(height):
-    """Return the angle from +y and the azimuth from −z towards +x of all pixels of a sky."""
+    """Return two angles for all pixels of a sky: from +y, and the azimuth from −z towards +x."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
     return np.meshgrid(polar, azimuth, indexing="ij")
@@ -34,7 +34,7 @@ def towards(polar, azimuth):
 
 
 def floor(above=None):
-    """Return a small square that faces +y, together with an optional mesh that occludes a part of the sky."""
+    """Return a small square that faces +y, together with an optional mesh above it that occludes a part of the sky."""
     corners = 0.1 * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
     vertices = np.stack([corners[:, 0], np.zeros(4), corners[:, 1]], axis=1)
     visual = trimesh.visual.TextureVisuals(uv=corners)
@@ -43,7 +43,7 @@ def floor(above=None):
 
 
 def patch(polars, azimuths, count=24):
-    """Return a mesh of a part of a sphere around the origin."""
+    """Return a mesh of a part of a sphere around the origin, between two polar angles and two azimuths."""
     grid = np.meshgrid(np.linspace(*polars, count), np.linspace(*azimuths, count), indexing="ij")
     index = np.arange(count * count).reshape(count, count)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
@@ -54,13 +54,13 @@ def patch(polars, azimuths, count=24):
 
 
 def disc_on_sky():
-    """Return a sky with a disc of 40° diameter around the view's mirror direction, and the azimuths of its pixels."""
+    """Return a sky with a disc of 40° diameter around the mirror direction of ``VIEW``, and the pixels' azimuths."""
     polar, azimuth = polar_and_azimuth(360)
     return np.where(towards(polar, azimuth) @ AXIS > math.cos(math.radians(20.0)), 1.0, 0.0), azimuth
 
 
 def test_a_mirror_shows_the_colours_of_the_sky():
-    """The window's lobe is 0.4° wide. The mean of a sky that is linear in its angles is its value in the centre."""
+    """The mirror's lobe is 0.4° wide. Its mean of a sky that is linear in its angles is the value in the centre."""
     polar, azimuth = polar_and_azimuth(32)
     sky = np.stack([1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar], axis=-1)
     view = wd.View.orthographic((2.0, 3.0, 1.0), (0.0, 0.0, 0.0), extent_y=0.06, width=8, height=6)
@@ -73,7 +73,8 @@ def test_a_mirror_shows_the_colours_of_the_sky():
 def test_a_mirror_under_a_wide_disc_light_reflects_its_whole_lobe():
     light = wd.DirectionalLight(tuple(AXIS), power=2.0, angular_diameter_deg=10.0)
     result = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
-    # The integral of 4πσ²/λ² times the reflectance over all directions is 1.
+    # The integral of 4πσ²/λ² times the reflectance over all directions is 1. Under a disc light that contains the lobe,
+    # the reflected light is therefore λ²/(4πσ²), divided by the solid angle of the disc.
     um = 1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1)
     products = colorimetry.colour_products("D65")
     lobe = um**2 @ products / products[:, 1].sum() / (4.0 * math.pi * SIGMA_UM**2)
@@ -93,7 +94,8 @@ def test_a_disc_on_a_sky_is_a_disc_light(fingers):
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
     light = wd.DirectionalLight(tuple(AXIS), illuminant=spectrum, angular_diameter_deg=40.0)
     bright = colorimetry.colour_products("D65")[:, 1]
-    # The colours of a disc light are means over its solid angle, but those of a sky are integrals.
+    # Colours under a disc light are means over its solid angle; those under a sky are integrals. The scale converts
+    # them.
     scale = 2.0 * math.pi * (1.0 - math.cos(math.radians(20.0))) * 4.0 * math.pi * WIDE.sigma_um**2
     scale *= (bright / (1e-3 * nm) ** 2).sum() / bright.sum()
     under_light = sums.under_disc(PIXELS, light, 96, 0).mean(axis=0)

@@ -1,4 +1,4 @@
-"""The suite of benchmark charts: comparisons, refusals and files. Measurements of the suite are not tested."""
+"""The benchmark suite (``python -m bench``): comparisons of runs, refusals and files, but not its measurements."""
 
 import csv
 import json
@@ -58,7 +58,7 @@ def test_unknown_parts_are_refused(tmp_path):
 def test_an_unwritable_folder_is_refused_before_measuring(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runner.importlib.util, "find_spec", lambda _name: True)
     monkeypatch.chdir(tmp_path)
-    # The root user may write to any folder, so the check of permissions is replaced.
+    # The root user may write to any folder, so ``os.access`` is replaced by a function that denies it.
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert command.main(["--filter", "pareto"]) == 2
     assert "is not writable; use another one" in capsys.readouterr().err
@@ -93,7 +93,7 @@ def test_a_subset_of_directions_is_spread_over_all():
 
 @pytest.fixture(scope="module")
 def fingers(tmp_path_factory):
-    """Return the benchmark scene with synthetic fingers, which replaces the missing scan."""
+    """Return the scene with synthetic fingers, from a folder without the scan."""
     empty = tmp_path_factory.mktemp("empty")
     assert inputs.scan(empty) is None
     (result,) = [scene for scene in scenes(empty) if scene.name == "fingers"]
@@ -101,7 +101,7 @@ def fingers(tmp_path_factory):
 
 
 def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
-    """The gains and colours of a charted scene are those of its preview picture."""
+    """The directions of a scene's chart are those of the illuminated pixels of its picture, with the same colours."""
     assert [coherence.kind for coherence in fingers.coherences] == ["averaged", "centred", "source"]
     window = fingers.coherences[0]
     directions, illuminated = fingers.directions(window, width=48)
@@ -119,7 +119,7 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
 
 
 def test_a_method_of_the_user_is_a_peer():
-    """A benchmark method supplied by the user is called by its own name and without settings."""
+    """A method that the user supplies is called under its own name and without settings."""
     from bench.peers import numpy_peer
     from bench.suite import pareto
 

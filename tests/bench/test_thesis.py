@@ -1,4 +1,4 @@
-"""The period of a blazed grating, computed from the wavelength at which its first order is brightest."""
+"""The period of the blazed grating, as ``bench.reproduce.thesis`` measures it from the angles of the first order."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Comparison of pictures: relative errors, their floor, masks, and the errors that the picture itself reports."""
+"""Comparison of two pictures: relative errors, their floor, masks, and the errors that ``image.error`` reports."""
 
 import dataclasses
 import json
@@ -11,7 +11,7 @@ import warpdiff as wd
 
 @pytest.fixture(scope="module")
 def pictures(fingers):
-    """Return pictures of a tube at tolerances of 0.1 and 0.01."""
+    """Return the same picture of a tube at tolerances of 0.1 and 0.01."""
     light, view = wd.DirectionalLight((0.6, 1.0, -0.1)), wd.View((0, 1.5, 4), (0, 0, 0), width=40, height=24)
     body, window = wd.meshes.tube(), wd.Coherence(sigma_um=3.25)
     return [
@@ -25,7 +25,8 @@ def test_errors_are_relative_to_the_reference_or_to_a_thousandth_of_its_white(rn
     exact[:2] = 1e-6
     differences = rng.normal(0.0, 0.01, exact.shape)
     result = wd.compare(exact + differences, exact, tolerance=0.02)
-    # The reference luminance is the 99th percentile of Y over the 600 pixels. The median weighted by Y is smaller.
+    # The reference luminance Y* is the 99th percentile of Y over the 600 pixels, because the luminance-weighted median
+    # is smaller.
     white = np.sort(exact[..., 1].ravel())[593]
     size = np.maximum(np.linalg.norm(exact, axis=2), 1e-3 * white)
     expected = np.linalg.norm(differences, axis=2) / size

@@ -1,4 +1,4 @@
-"""Files of pictures, written by ``Image.save`` and read back through OpenImageIO."""
+"""Files of pictures: ``Image.save`` writes them, and the tests read them through OpenImageIO."""
 
 import contextlib
 import dataclasses
@@ -24,20 +24,20 @@ from warpdiff.optics import colorimetry
 
 ROW = "pictures saved on full disks, under file size limits, interrupted"
 HEIGHT, WIDTH = 5, 7
-# Test coverage: row 0 is background, row 1 is partly covered, and all other rows are completely covered.
+# Coverage of the test picture: row 0 is background, row 1 is partly covered, and all other rows are completely covered.
 COVERAGE = np.array([0.0, 0.25, 1.0, 1.0, 1.0], np.float32)[:, None] * np.ones((1, WIDTH), np.float32)
 ERROR = np.linspace(0.0, 0.1, COVERAGE.size, dtype=np.float32).reshape(COVERAGE.shape)
 
 
 @pytest.fixture(scope="module")
 def plan() -> wd.Plan:
-    """Return the plan of a flat height field; its numbers do not matter here."""
+    """Return the plan of a flat height field, for pictures in whose tests the plan does not matter."""
     return wd.plan(wd.HeightField(np.zeros((8, 8)), 0.05))
 
 
 @pytest.fixture
 def image(plan, rng) -> wd.Image:
-    """Return a picture with colours inside and outside of the gamut, premultiplied by the coverage."""
+    """Return a picture with colours inside and outside of the gamut, multiplied by its coverage."""
     rgb = rng.uniform(0.0, 2.0, (HEIGHT, WIDTH, 3))
     rgb[3, 3] = (-0.25, 0.5, 0.125)
     xyz = (colorimetry.rgb_to_xyz(rgb) * COVERAGE[..., None]).astype(np.float32)
@@ -45,7 +45,7 @@ def image(plan, rng) -> wd.Image:
 
 
 def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
-    """Return the header and the unconverted samples of a file."""
+    """Return the header of an image file and its samples, without conversion."""
     source = oiio.ImageInput.open(str(path), straight_alpha())
     assert source is not None, oiio.geterror()
     spec = source.spec()
@@ -55,7 +55,7 @@ def read(path) -> tuple[oiio.ImageSpec, np.ndarray]:
 
 
 def straight_alpha() -> oiio.ImageSpec:
-    """Return settings that prevent the PNG reader from multiplying colours by alpha."""
+    """Return OpenImageIO's settings for a PNG reader that does not multiply colours by alpha."""
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     return config
@@ -72,7 +72,7 @@ def test_exr_is_exact(image, tmp_path):
     np.testing.assert_array_equal(pixels[..., 3], image.coverage)
     np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
     np.testing.assert_array_equal(pixels[..., 7], image.error)
-    # Colours out of gamut keep their negative components.
+    # A colour outside of the gamut keeps its negative component.
     np.testing.assert_allclose(pixels[3, 3, :3], (-0.25, 0.5, 0.125), atol=1e-6)
 
 
@@ -80,7 +80,7 @@ def test_exr_is_scaled_by_an_explicit_exposure(image, tmp_path):
     pixels = read(image.save(str(tmp_path / "a.EXR"), exposure=0.5))[1]
     np.testing.assert_array_equal(pixels[..., :3], image.rgb * np.float32(0.5))
     np.testing.assert_array_equal(pixels[..., 4:7], image.xyz * np.float32(0.5))
-    # Relative errors do not depend on the exposure.
+    # The channel ``error`` is not scaled, because relative errors do not depend on the exposure.
     np.testing.assert_array_equal(pixels[..., 7], image.error)
     np.testing.assert_array_equal(pixels[..., 3], image.coverage)
 
@@ -104,8 +104,8 @@ def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     levels = 2**bits - 1
     np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
     assert not pixels[0].any(), "the background must be transparent"
-    # The test computes sRGB by IEC 61966-2-1; PNG colours are not multiplied by alpha. Automatic exposure maps the mean
-    # luminance to 0.7 for ACES and to 0.5 for other displays.
+    # The expected sRGB values follow IEC 61966-2-1. PNG colours are not multiplied by alpha. ``auto_exposure`` maps the
+    # mean luminance to 0.7, which is right for ACES; for other displays it is 0.5.
     exposure = exposure or image.auto_exposure * 0.5 / 0.7
     linear = exposure * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
     linear = np.clip(linear, 0.0, 1.0)
@@ -131,11 +131,11 @@ def test_automatic_exposure_maps_the_mean_of_illuminated_pixels_to_0_7(plan, rng
     illuminated = luminance[mask & ~dark]
     usual = exposure()
     assert np.mean(illuminated * usual) == pytest.approx(0.7, rel=1e-3)
-    # A mirror highlight in 1/10,000 of the illuminated pixels does not change the exposure.
+    # A mirror highlight in 1/10,000 of the illuminated pixels does not change the automatic exposure.
     brightest = np.flatnonzero((mask & ~dark).ravel())[: len(illuminated) // 10_000]
     luminance.ravel()[brightest] = 1e6
     assert exposure() == pytest.approx(usual, rel=1e-3)
-    # Bright orders in 1/200 of the pixels determine the exposure if all other pixels are dark.
+    # If all other pixels are dark, bright orders in 1/200 of the pixels determine the automatic exposure.
     luminance[luminance > 0.0] = 1e-9
     orders = np.flatnonzero((mask & ~dark).ravel())[::200]
     luminance.ravel()[orders] = 2.0
@@ -185,7 +185,7 @@ def test_a_very_dark_picture_is_exposed(plan, tmp_path):
     whole = np.ones((2, 2), np.float32)
     dim = wd.Image(xyz=xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     assert read(dim.save(tmp_path / "a.png"))[1].min() > 100
-    # If the light is brighter by 1e24, the same exposure gives white, and EXR stays finite.
+    # At the same exposure, a picture that is brighter by a factor of 1e24 is white, and its EXR file has finite values.
     bright = wd.Image(xyz=1e24 * xyz, mask=whole > 0, illuminated=whole > 0, coverage=whole, error=whole, plan=plan)
     assert read(bright.save(tmp_path / "b.png", exposure_from=dim))[1].min() == 255
     assert np.isfinite(read(bright.save(tmp_path / "b.exr", exposure_from=dim, exposure_stops=30.0))[1]).all()
@@ -222,7 +222,7 @@ def test_files_are_replaced_and_have_the_usual_permissions(image, name, tmp_path
 
 
 class FailingOutput:
-    """Stand-in for a writer of OpenImageIO that fails at one of its steps."""
+    """Stand-in for a file writer of OpenImageIO, which fails at a step: "open", "write", "close" or "interrupt"."""
 
     def __init__(self, at: str) -> None:
         self._at = at
@@ -262,7 +262,7 @@ def test_a_write_that_fails_leaves_the_old_file(image, name, at, tmp_path, monke
 
 @contextlib.contextmanager
 def largest_file(size):
-    """Limit the size of written files, as a full disk does. The limit is lifted before the test report is written."""
+    """Limit the size of files that the process writes, within the ``with`` block, to simulate a full disk."""
     resource = pytest.importorskip("resource", reason="file size limits require POSIX")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     # Python ignores the signal SIGXFSZ, so writing beyond the limit fails with an error.
@@ -274,7 +274,7 @@ def largest_file(size):
 
 
 def cannot_save(image, folder, name, *, message="cannot write", **options):
-    """Check that saving raises an error, with or without an existing file, and leaves all files unchanged."""
+    """Check that saving fails and leaves all files unchanged, both if the target exists and if it does not."""
     for old in ({}, {name: b"precious"}):
         for file, content in old.items():
             (folder / file).write_bytes(content)

@@ -1,4 +1,4 @@
-"""Reports of pictures: shares of converged pixels, and a verdict computed from the errors of the pixels."""
+"""Reports of pictures: shares of converged pixels, and a sentence ("verdict") on whether the tolerance is met."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_edges_may_have_three_times_the_error():
 
 
 def test_the_verdict_names_the_shares_of_unconverged_pixels():
-    """The verdict names shares of pixels, because errors at edges may be three times the tolerance."""
+    """Errors at edges may be three times the tolerance, so the sentence states shares of pixels at edges and inside."""
     met = report(0.05, 0.3)
     assert met.errors[1] > met.tolerance
     assert met.verdict == (

@@ -21,7 +21,7 @@ def dim_by_profile(
     pixels: Pixels, position: wp.vec3f, axis: wp.vec3f, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply geometry factors by the eighth power of the cosine of the angle to the spotlight's axis."""
+    """Multiply the gains of pixels by cos⁸ of the angle between the spotlight's axis and the direction to the pixel."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         towards = wp.normalize(pixels.shadow_origin[i] - position)
@@ -66,7 +66,8 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     body, position = meshes.tube(segments_along=48, segments_around=24), (0.3, 1.7, 1.4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
     coherence = wd.Coherence(sigma_um=4.0)
-    # The point light and the spotlight use the same table, because plans for darker directions differ.
+    # Both lights use the same plan. Otherwise the plan of the spotlight would differ, because its directions are
+    # darker.
     plan = wd.plan(fingers, coherence=coherence, integration="table", tolerance=0.1)
     point, spot = (
         wd.shade(body, fingers, light, view, plan=plan, pigment=0.0, refine=False, layers=("depth",))
@@ -88,7 +89,7 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """Recorded launches contain the spotlight's position and axis by value."""
+    """Position and axis of a spotlight are values in recorded launches, so the key of a recording depends on them."""
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]

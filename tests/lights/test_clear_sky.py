@@ -1,4 +1,4 @@
-"""Clear skies: luminance and illuminance by the CIE's formulas, and a sun with the right power, width and position."""
+"""Clear skies: luminances and illuminances by the CIE's formulas, and power, width and position of the sun."""
 
 import math
 
@@ -13,13 +13,13 @@ LUMINANCE = colorimetry.RGB_TO_XYZ[1]
 
 
 def traditional(along, to_sun):
-    """Return luminances of the CIE clear sky of 1973; type 12 of the CIE general sky equals it except for rounding."""
+    """Return luminances of the CIE clear sky of 1973, from which type 12 of the CIE general sky differs by rounding."""
     angle = np.arccos(np.clip(along @ to_sun, -1.0, 1.0))
     return (0.91 + 10.0 * np.exp(-3.0 * angle) + 0.45 * np.cos(angle) ** 2) * (1.0 - np.exp(-0.32 / along[..., 1]))
 
 
 def illuminance(to_sun):
-    """Return the horizontal illuminance over the luminance of the zenith, by Gauss–Legendre quadrature."""
+    """Return the horizontal illuminance divided by the luminance of the zenith, by Gauss–Legendre quadrature."""
     points, weights = np.polynomial.legendre.leggauss(200)
     cosine, azimuth = 0.5 * (points + 1.0), math.pi * points
     sine = np.sqrt(1.0 - cosine**2)[:, None]
@@ -35,7 +35,8 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
     sky = wd.Environment.clear_sky(3.0 * to_sun, sun=0.0, ground_albedo=0.3)
     luminance = sky.radiance_rgb.astype(np.float64) @ LUMINANCE
     polar = (np.arange(512) + 0.5) / 512.0 * math.pi
-    # The columns of the map are ordered counter-clockwise as seen from above, and rotate with the sky.
+    # Columns of the map are ordered by azimuth, counter-clockwise as seen from above, and are rotated by
+    # ``rotation_deg``.
     azimuth = ((np.arange(1024) + 0.5) / 512.0 - 1.0) * math.pi - math.radians(sky.rotation_deg)
     for row, column in ((3, 700), (100, 20), (250, 511), (200, 1023)):
         sine = math.sin(polar[row])
@@ -52,7 +53,7 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
 
 @pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
 def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
-    """The sun is a disc of 0.53° diameter; 3 % of the extracted light is the sky's own glow. Pixels are 0.35° wide."""
+    """The sun has a diameter of 0.53°, sky pixels are 0.35° wide, and 3 % of the extracted light is the sun's glow."""
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)
     (sun,) = extract_suns(sky.radiance_rgb)[1]
@@ -63,7 +64,7 @@ def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
     x, y, z = sun.towards
     placed = np.array([math.cos(turn) * x + math.sin(turn) * z, y, math.cos(turn) * z - math.sin(turn) * x])
     assert np.degrees(np.abs(placed - (-0.6 * level, up, 0.8 * level))).max() < 1e-3
-    # The ground reflects the light of the sky and of the sun.
+    # Below the horizon, the ground reflects a fifth of the illuminance of the sky and of the sun.
     ground = sky.radiance_rgb[300, 0] @ LUMINANCE
     assert ground == pytest.approx(0.2 * (1.0 + 2.0 * ratio * up), rel=1e-5)
 

@@ -1,4 +1,4 @@
-"""Disc lights: samples of the disc, and pictures and shadows compared with many directional lights."""
+"""Disc lights: distribution of their samples, and pictures and shadows compared with many directional lights."""
 
 import math
 
@@ -26,7 +26,7 @@ def fingers():
 
 
 def points_of(light, count):
-    """Return directional lights on rings, distributed uniformly over the disc of a light."""
+    """Return directional lights that replace a disc light: rings of them, distributed uniformly over its disc."""
     axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
     aside = np.cross(axis, (1.0, 0.0, 0.0))
     aside /= np.linalg.norm(aside)
@@ -34,7 +34,8 @@ def points_of(light, count):
     rings = round(math.sqrt(count / math.pi))
     result = []
     for ring in range(rings):
-        # Each ring of equal width has a number of lights proportional to its length, which share its solid angle.
+        # Rings have equal widths. A ring has a number of lights in proportion to its length, which share its solid
+        # angle.
         inner, outer = radius * ring / rings, radius * (ring + 1) / rings
         middle, points = 0.5 * (inner + outer), max(round(2.0 * math.pi * (ring + 0.5)), 3)
         share = (math.cos(inner) - math.cos(outer)) / (1.0 - math.cos(radius)) / points
@@ -51,13 +52,13 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
     lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobe()
     assert lobe.power == 3.0
     np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
-    # The standard deviation of a disc light is half of its radius, up to the difference between an angle and its sine.
+    # The standard deviation of a uniform disc is half of its radius.
     sizes = np.linalg.norm(lobe.deviations, axis=1)
     np.testing.assert_allclose(sizes, 0.5 * math.radians(diameter / 2.0), rtol=1e-9)
 
 
 def drawn_towards(diameter, *, normal, view, lobe):
-    """Return directions to a disc light and their weights, for the 64 × 64 cells of a pixel on a plane."""
+    """Return directions that the kernel draws on a disc light, and their weights, for 64 × 64 cells of one pixel."""
     count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobe()
 
     def repeated(value):
@@ -80,7 +81,7 @@ def drawn_towards(diameter, *, normal, view, lobe):
 @pytest.mark.parametrize("diameter", [3.0, 60.0])
 @pytest.mark.parametrize("towards_mirror", [None, 0.4, 0.95])
 def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror):
-    """Weighted samples are uniform over a disc light, also if some are drawn near a mirror direction on the disc."""
+    """Samples of a disc are uniform if weighted, even where some are drawn near a mirror direction on the disc."""
     axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
     normal = view = -axis
     if towards_mirror is not None:
@@ -94,7 +95,7 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     assert np.all(cosines >= math.cos(radius) - 1e-6)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
-    # The weighted samples of a disc are uniform in solid angle and in azimuth.
+    # If samples are uniform, their azimuths and their shares of the disc's solid angle have flat weighted histograms.
     share = (1.0 - cosines) / (1.0 - math.cos(radius))
     around = np.arctan2(*(towards[inside, :3] @ orthonormal_pair(axis).T).T)
     count = len(towards)
@@ -115,7 +116,8 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
     errors = relative_errors(result.xyz[visible], exact.xyz[visible])
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
-    # A directional light without an angular diameter gives a clearly different picture from a disc light.
+    # A picture under a directional light without an angular diameter is clearly different, so the comparison is
+    # meaningful.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
     others = relative_errors(point.xyz[visible], exact.xyz[visible])
@@ -136,12 +138,13 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The renderer uses a table for the whole hemisphere, so its colours differ slightly from those of ``shade``.
+    # The plan of ``wide`` covers the directions of one picture, but the renderer's table covers the hemisphere. Colours
+    # differ slightly.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
 def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
-    """The edge of a plate occludes part of a disc light. Y is the share of the disc on the visible side of a chord."""
+    """In a penumbra, the straight edge of a plate divides the disc, and Y is the share of the disc that is visible."""
     floor, plate = trimesh.creation.box((4, 4, 0.1)), trimesh.creation.box((40, 20, 0.05))
     body = trimesh.util.concatenate([floor, plate.apply_translation((0, 10.0, 3.0))])
     body.visual.vertex_colors = np.full((len(body.vertices), 4), 200, dtype=np.uint8)
@@ -149,7 +152,7 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # Only the pigment is compared, because it reflects light from all parts of the disc equally.
+    # The pigment alone is compared, because it reflects light from all parts of the disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
@@ -170,7 +173,7 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
 
 
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
-    """For a blazed grating, the best table exceeds the tolerance for single directions, and a warning reports this."""
+    """For this blazed grating, no table meets the tolerance for single directions. The best is used, with a warning."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
         image = wd.shade(wd.meshes.disc(), blazed, light, VIEW, coherence=SHORT, tolerance=3e-2, pigment=0.0)
@@ -180,7 +183,7 @@ def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_direction
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # The reported error of single directions is 0.09, and the samples of the disc light add noise.
+    # The table's reported error for single directions is 0.09. The samples of the disc light add noise to it.
     assert np.median(errors) < 0.06
     assert errors.max() < 0.2
 
@@ -198,30 +201,31 @@ def test_disc_lights_require_footprints_and_exclude_a_source_coherence(fingers):
 
 @pytest.mark.parametrize(("diameter", "fov_y_deg"), [(20.0, 24.0), slow(4.0, 8.0)])
 def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square):
-    """A mirror shows a disc whose rim is blurred only by the window's lobe. The reference is a sum over points."""
+    """A mirror shows a disc light with a rim that only the window's lobe blurs, as in a sum over points of the disc."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
-    # The pixel filters of the compared pixels are completely on the square.
+    # All rays in the pixel filters of the compared pixels hit the square.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
-    # At least three of the compared pixels are outside of the reflected disc.
+    # At least three of the compared pixels are outside of the reflection of the disc.
     assert np.count_nonzero(exact[:, 1] < 0.1 * exact[0, 1]) >= 3
-    # Each sample of a disc light is a Gaussian, which blurs the rim of its reflection slightly.
+    # A sample of a disc light is a narrow Gaussian, which blurs the rim slightly more than the sum does.
     assert errors.max() < 0.6
     assert np.median(errors) < 0.05
 
 
 def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
-    """Where a flat surface reflects the centre of a disc light, Y is the share of the disc within the window's lobe."""
+    """In the mirror direction of the centre of a disc light, Y is the share of its light within the window's lobe."""
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
-    # Standard deviations of the lobe, λ/(2√2πσ), and of the light, half of its angular radius.
+    # Standard deviations in radians: `alpha` of the light, half of its angular radius, and √`lobe2` of the lobe,
+    # λ/(2√2πσ).
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
     lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2
     assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

@@ -1,4 +1,4 @@
-"""Environments: mirrors and gratings illuminated by them, pigment, shadows, and skies behind pictures."""
+"""Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures."""
 
 import copy
 import math
@@ -31,7 +31,10 @@ def middles(height):
 
 
 def spectrum_of_a_sky(sigma_um):
-    """Return D65 over λ², the spectrum of a reflected sky under a window, and its factor 4πσ²/λ² per luminance."""
+    """Return the spectrum of a grey sky that a window reflects, D65 over λ², and the factor of its brightness.
+
+    The factor is the mean of 4πσ²/λ², weighted by the contribution of each wavelength to Y.
+    """
     nm, products = np.arange(380.0, 781.0), colorimetry.colour_products("D65")[:, 1]
     d65 = colour_science().SDS_ILLUMINANTS["D65"].copy()
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
@@ -39,7 +42,7 @@ def spectrum_of_a_sky(sigma_um):
 
 
 def seen_at(degrees):
-    """Return a view of a few pixels at an angle to the z-axis, along no coordinate axis."""
+    """Return an orthographic view of a few pixels, at an angle to the z-axis and along no coordinate axis."""
     angle = math.radians(degrees)
     eye = (4 * math.sin(angle) * 0.6, 4 * math.sin(angle) * 0.8, 4 * math.cos(angle))
     return wd.View.orthographic(eye, (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
@@ -56,9 +59,11 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
-    # All pixels have the same colour but different samples, so the mean of the pixels has only the error of the table.
+    # The pixels have the same colour, but different samples of the sky. Their mean has less noise, and mainly the
+    # table's error.
     result = result.mean(axis=(0, 1))
-    # With dω cos θ = du dv, each direction of a grey sky adds ρ L dω 4πσ²/λ², with the spectrum of D65.
+    # The exact colour is a sum over directions to a grey sky. With dω cos θ = du dv, each adds ρ L dω 4πσ²/λ², with the
+    # spectrum of D65.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
@@ -74,7 +79,8 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
 
 
 def test_a_sun_in_a_black_sky_equals_a_sum_over_its_directions(square):
-    # The sky has 1.4° per pixel and is interpolated linearly, so the sun is a pyramid over 2 × 2 pixels.
+    # A sky pixel is 1.4° wide, and the sky is interpolated linearly between pixel centres, so the sun is a pyramid over
+    # 2 × 2 pixels.
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=3.0)
     spectrum, per_luminance = spectrum_of_a_sky(3.0)
     row, column, view = 50, 130, seen_at(20.0)
@@ -124,8 +130,8 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
     result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # The mirror's lobe is a Gaussian in (u, v), and dω cos θ = du dv. The sum has equal steps in the angle of the
-    # light.
+    # The exact Y is the share of the lobe, a Gaussian in (u, v), above the horizon. The integral is a sum over equal
+    # steps of the light's angle, with dω cos θ = du dv.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0
@@ -201,7 +207,7 @@ def test_files_are_read_and_refused(tmp_path, square):
 
 
 def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
-    # The mesh is an open book: each half occludes part of the sky for the other half.
+    # The mesh is like an open book, whose halves occlude a part of the sky for each other.
     corners = [[0, 0, -1], [0, 0, 1], [1, 1, 1], [1, 1, -1], [-1, 1, 1], [-1, 1, -1]]
     texture = trimesh.visual.TextureVisuals(
         uv=[[0, 0], [0, 1], [1, 1], [1, 0], [1, 1], [1, 0]],
@@ -229,14 +235,15 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
     visible = expected[..., 1] > 0.0
     assert visible.sum() > 60
     away = np.linalg.norm(below[visible] - expected[visible], axis=1) / np.linalg.norm(expected[visible], axis=1)
-    # The reference has point-like lights 11° apart, each completely visible or occluded, which limits its accuracy.
+    # The exact picture has a directional light every 11°, each completely visible or occluded. This limits its
+    # accuracy.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.09
 
 
 @pytest.mark.slow
 def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
-    # In this view of a tube, footprints are very elongated, and the horizon truncates some orders.
+    # A view of a tube with very elongated footprints, in which the horizon cuts off some orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]
@@ -244,7 +251,7 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # The sums over directions have a noise of 2 %.
+    # These sums over directions have a noise of 2 %, which the limits below include.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
@@ -254,13 +261,14 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
         away = np.linalg.norm(result.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # Where the true error is above 0.1, the error image reports at least half of it.
+        # Where the error is above 0.1, ``image.error`` is at least half of it.
         assert (result.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 
 
 def test_no_sun_is_extracted_from_a_uniform_sky():
-    # Rounding makes means over a uniform region of the sky differ slightly from its radiance.
+    # The mean radiance of a uniform region of a sky differs slightly from its pixels by rounding. This must not count
+    # as a sun.
     sky = np.full((64, 128, 3), 0.7, dtype=np.float32)
     sky[:20] = 1.19
     assert not extract_suns(sky)[1]
@@ -292,7 +300,8 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_reco
     assert len(keys) == 3
     assert len(set(keys)) == 1
     np.testing.assert_array_equal(first, second)
-    # A picture of another view reuses the device arrays of the same sky. Another sky has new arrays and launches.
+    # A picture of the same sky in another view reuses the sky's arrays on the device. An equal sky that is another
+    # object has new arrays, and launches are recorded again.
     wd.shade(square, flat, lights, seen_at(20.0), **UNDER)
     assert len(uploads) == 1
     renderer.draw(wd.Environment(np.ones((4, 8, 3)), directions=16))
@@ -324,7 +333,7 @@ def test_an_environment_caches_few_parts_and_its_copies_none():
 
 @pytest.mark.parametrize("light", ["sky", "disc"])
 def test_the_rays_of_a_pixel_share_its_samples(light, square):
-    """All cells of an unrefined pixel together have as many samples of the light as one ray, so noise stays equal."""
+    """The cells of a pixel share as many samples of a light as a single ray would have, so noise stays equal."""
     flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
     lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
     if light == "sky":
@@ -333,5 +342,5 @@ def test_the_rays_of_a_pixel_share_its_samples(light, square):
     for samples in (1, 4, 64):
         image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
         spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
-    # With more samples, each sample of a disc light is blurred less, so some noise is allowed.
+    # Each sample of a disc light is blurred less if there are more samples, so the noise may increase somewhat.
     assert max(spread[1:]) < 2.0 * spread[0]

@@ -1,4 +1,4 @@
-"""Point lights: direction and falloff per pixel, footprints, and shadow rays that end at the light."""
+"""Point lights: direction and brightness per pixel, footprints, and shadow rays that end at the light."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
 
 
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
-    """On a flat square in an orthographic view, only the direction to the light changes within a pixel."""
+    """In an orthographic view of a flat square, only the direction to the near light changes within a pixel."""
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
     mean = wd.shade(square(), fingers, light, VIEW, refine=False, **OPTIONS)
@@ -64,12 +64,12 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
         assert image.xyz[1, 1, 1] == pytest.approx(luminance, rel=1e-2)
-    # The pigment's brightness has the same falloff with distance from a point light.
+    # The pigment's brightness, too, decreases with the square of the distance from the light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
     )
-    # Refinement is off, because two pictures of different brightness could be refined differently.
+    # Refinement is off, because pixels of the brighter picture could be refined more than those of the darker one.
     options = OPTIONS | {"refine": False}
     shown = [
         wd.shade(coloured, fingers, wd.PointLight((0.0, 0.0, d)), view, **(options | {"pigment": 100.0})).xyz[1, 1]

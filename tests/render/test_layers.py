@@ -1,4 +1,4 @@
-"""Layers of a picture: normal, depth and geometry number at each pixel's central ray, and normals of mesh files."""
+"""Layers of a picture: normal, depth and geometry number at the hits of central rays, and normals of mesh files."""
 
 from typing import get_args
 
@@ -14,7 +14,7 @@ from warpdiff.request.settings import Layer
 NAMES = get_args(Layer)
 HF = wd.gratings.sinusoidal(2.0, 0.2)
 LIGHT = wd.DirectionalLight((0.2, 0.3, 1.0))
-# Matrix for texture coordinates that vary along every surface except a plane perpendicular to both of its columns.
+# Texture coordinates of the ball are vertex positions times this matrix, so that both vary along its surface.
 MIXED = np.array([[1.0, 0.1], [0.3, 1.0], [0.2, -0.4]])
 VIEW = wd.View((1.9, 2.3, 2.9), (0.0, 0.0, 0.0), width=40, height=30)
 
@@ -25,7 +25,7 @@ def shade(mesh, view=VIEW, **options):
 
 
 def box(*, size=1.0, normals=True):
-    """Return a cube with three corners per face, whose normals are the face normals, as modelling tools export it."""
+    """Return a cube with three separate corners per face and face normals as vertex normals, like modelling tools."""
     body = trimesh.creation.box(extents=(size, size, size))
     corners = body.faces.ravel()
     facets = np.repeat(body.face_normals, 3, axis=0)
@@ -72,10 +72,10 @@ def box_met(view, half=0.5):
 def test_normals_of_a_file_are_used_even_if_they_equal_the_face_normals(tmp_path, suffix, how):
     path = tmp_path / f"box.{suffix}"
     given = box()
-    # trimesh writes PLY files without texture coordinates, so tangents are given instead.
+    # trimesh writes PLY files without texture coordinates, so PLY meshes get explicit tangents.
     tangents = np.roll(given.vertex_normals, 1, axis=1) if suffix == "ply" else None
     given.export(path, **({"vertex_normal": True} if suffix == "ply" else {"include_normals": True}))
-    # The test uses load_scene because trimesh.load_mesh drops the normals.
+    # trimesh.load_mesh drops the normals of a file; load_scene keeps them.
     mesh = path if how == "path" else trimesh.load_scene(path, process=how == "process")
     if how == "process" and tangents is not None:
         (merged,) = mesh.geometry.values()
@@ -115,7 +115,7 @@ def test_layers_have_the_values_at_the_hits_of_central_rays(view, options):
 
 def test_geometries_are_numbered_by_the_scenes_nodes():
     scene = trimesh.Scene()
-    # A face without area must not change the numbering of geometries.
+    # The mesh on the left has a face without area, which must not change the numbers of the geometries.
     flat = ball()
     flat.faces = np.concatenate([[[0, 0, 0]], flat.faces])
     for name, mesh, x in (("left", flat, -1.5), ("middle", box(), 0.0), ("right", ball(), 1.5)):
@@ -131,7 +131,7 @@ def test_geometries_are_numbered_by_the_scenes_nodes():
 def test_facets_show_their_own_normals():
     mesh = ball()
     smooth, flat = (shade(mesh, smooth=smooth).layers["normal"] for smooth in (True, False))
-    # The normals of facets of 7.5° × 15° differ from smooth normals by a few degrees.
+    # The facets of the ball span 7.5° × 15°, so their normals differ from smooth normals by a few degrees.
     assert 0.01 < np.abs(smooth - flat).max() < 0.2
     met = smooth.any(axis=2)
     distance = shade(mesh, layers=["depth"]).layers["depth"]

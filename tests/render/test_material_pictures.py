@@ -18,7 +18,7 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
-    """A table includes the reflectance R(θd, λ) in its integral over λ, because cos θd = |(u, v, w)|/2."""
+    """The tables contain the reflectance R(θd, λ): it depends on (u, v, w) alone, because cos θd = |(u, v, w)|/2."""
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
     plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
@@ -43,7 +43,7 @@ def test_a_material_without_reflection_is_black_with_a_table(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", integration="table")
-    # The polynomials in cos θd of a table leave rounding errors instead of exact zeros.
+    # A table represents the dependence on cos θd by polynomials, whose sum is not exactly 0 but a rounding error.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
 
@@ -98,7 +98,7 @@ def test_geometries_without_a_material_are_refused(fingers):
 
 
 def test_pigment_lies_under_glass_and_not_under_metal():
-    """Light passes through the glass twice, each time with a factor of 1 − R. Metals transmit no light."""
+    """Light passes the surface of glass twice, each time with a factor of 1 − R. Metals are opaque."""
     body = wd.meshes.disc()
     body.visual = trimesh.visual.TextureVisuals(
         uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 60, 30, 255))
@@ -112,6 +112,7 @@ def test_pigment_lies_under_glass_and_not_under_metal():
         )
         return (with_it - without)[4, 6]
 
-    # The transmittances of Schlick's formula and of Fresnel's equations differ by less than 1 %.
+    # Without a material, Schlick's formula is used instead of Fresnel's equations. Transmittances differ by less than 1
+    # %.
     np.testing.assert_allclose(under(material=wd.Material.dielectric(1.5)), 0.04 * under(ior=1.5), rtol=2e-2)
     assert np.all(under(material=GOLD) == 0.0)

@@ -27,7 +27,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return the plan of so fine a table that the remaining errors are those of footprint means."""
+    """Return a plan whose table is so fine that errors of pictures are dominated by the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -54,10 +54,10 @@ BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "l
 
 
 def by_points(mesh, heightfield, light, camera, plan, points=36):
-    """Return the filtered picture of ``points`` × ``points`` rays per pixel, its coverage, and the inner pixels.
+    """Return XYZ of pixels by ``points`` × ``points`` rays each, their coverage, and a mask of the inner pixels.
 
-    Inner pixels are completely on the illuminated surface. The fine picture is wider, because the filter extends
-    beyond.
+    All rays of an inner pixel hit the illuminated surface. The picture of the rays has a margin, because the pixel
+    filter extends beyond the pixel.
     """
     margin = 2
     fine = finer(camera, points, margin)
@@ -84,7 +84,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the errors of inner pixels, relative in the same way as ``tolerance``."""
+    """Return the errors of inner pixels, relative to their colour or the floor f, as for ``tolerance``."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -102,7 +102,7 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
 
 
 def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
-    """Pixels with one ray and refined pixels are compared together with their reported errors."""
+    """True errors of refined and unrefined pixels are mostly below the reported ones, and have a similar order."""
     mesh, camera, exact = truth
     true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
@@ -119,7 +119,7 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """Pixels summed over points, for coherence models without a table for footprint means, are tested, too."""
+    """More cells do not increase errors: with footprint means, and with points where no table supports means."""
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
         result = [
@@ -128,7 +128,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
-                # More cells cannot reduce the error below that of the table.
+                # Below 1e-3, the error of the table dominates, which more cells cannot reduce.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 
@@ -137,11 +137,11 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table)
     rim = (coverage > 0.1) & (coverage < 0.9)
     assert np.count_nonzero(rim) > 15
-    # The coverage of pixels at the silhouette is accurate to 0.1, and to 0.03 in the median.
+    # Pixels at the silhouette have coverages with errors of at most 0.1, and of 0.03 in the median.
     away = np.abs(image.coverage - coverage)[rim]
     assert np.median(away) < 0.03
     assert away.max() < 0.1
-    # Pixel colours are multiplied by the coverage.
+    # Colours are multiplied by the coverage, in the picture and in the reference.
     size = np.linalg.norm(xyz, axis=2)
     bright = rim & (size > 0.05 * np.percentile(size[coverage > 0.99], 90.0))
     relative = np.linalg.norm(image.xyz - xyz, axis=2)[bright] / size[bright]
@@ -152,7 +152,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
 
 
 def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
-    """Pixels at silhouettes have the same number of cells as all others."""
+    """Without refinement, pixels at silhouettes have as many cells as all others."""
     mesh, camera = BODIES["tube"](), view()
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
     hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
@@ -165,13 +165,13 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
     expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
     assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
-    # If no central ray of a pixel or its neighbours hits the mesh, its cells are not traced. The lost coverage is
-    # small.
+    # The renderer does not trace the cells of a pixel if no central ray of the pixel or its neighbours hits the mesh.
+    # The coverage that is lost is small.
     np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """If no table supports footprint means, pixels with footprints are computed from many points."""
+    """With ``footprint=True`` but without a table for footprint means, pixels are computed from many points each."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
@@ -193,7 +193,7 @@ def test_means_are_on_at_any_tolerance(method):
 
 
 def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
-    """In a view of a distant mesh, each pixel covers thousands of bumps."""
+    """In a view of a distant mesh, each pixel covers thousands of bumps, which no refinement resolves."""
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
@@ -203,14 +203,14 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """A pixel is inside if all points of its own square meet the mesh and are illuminated."""
+    """Pixels with an edge are marked. An inner pixel, whose whole square is hit and illuminated, is never marked."""
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
     edges = renderer._mine.picture._cropped(renderer._mine.picture._sums.edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
-    # Some edges are so close to the border of the pixel that none of 16 cells detects them.
+    # Some edges are so close to the border of their pixel that none of its 16 cells detects them.
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
@@ -236,7 +236,7 @@ def test_pictures_do_not_depend_on_threads_or_parts(fingers, table, monkeypatch)
         result = wd.shade(mesh, fingers, LIGHT, view(), plan=table, threads=threads)
         np.testing.assert_array_equal(result.xyz, expected.xyz)
         np.testing.assert_array_equal(result.error, expected.error)
-    # Small limits make the renderer split the picture into parts, as if little memory were free.
+    # With small limits of buffer sizes, the renderer splits the picture into parts, as if little memory were free.
     monkeypatch.setattr(pixel_filter, "_MOST_RASTERIZED", 1024)
     result = wd.shade(mesh, fingers, LIGHT, view(), plan=table)
     np.testing.assert_array_equal(result.xyz, expected.xyz)
@@ -252,7 +252,8 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # A single light is refined to its own tolerance. With two lights, only their sum must meet the tolerance.
+    # A picture with one light is refined until it meets the tolerance. With two lights, only their sum must meet it, so
+    # the sum of the pictures differs slightly.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -264,7 +265,7 @@ def test_lights_and_pigments_add_up(fingers, table):
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
-    """The weighted Gaussians of the cells add up to a Gaussian with σ = 0.5 pixel; points use its values."""
+    """The weighted Gaussians of cells sum to the pixel filter, with σ = 0.5 pixel. Weights of points are its values."""
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])
@@ -274,17 +275,18 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
         x = np.linspace(-1.0, 1.0, 41)
         ours = np.exp(-0.5 * ((x[:, None] - places) / deviation) ** 2) @ weights / deviation
         exact = np.exp(-0.5 * (x / refinement_levels.FILTER_SIGMA) ** 2) / refinement_levels.FILTER_SIGMA
-        # A sum of Gaussians of width s · spacing has ripples of 2 exp(−2π²s²). Truncating the filter adds an error.
+        # A sum of equal Gaussians with σ = s · spacing has ripples of 2 exp(−2π²s²). The truncation of the filter at
+        # 1.5 pixels adds an error.
         ripples = 2.0 * np.exp(-2.0 * (np.pi * deviation * 2**level) ** 2)
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
 
-# Filter weight of a diagonal neighbour over that of a horizontal or vertical one.
+# Weight of the pixel filter at a diagonal neighbour, relative to that at a horizontal or vertical one.
 ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def estimate_by_hand(colours, uv, hit, floor, bound):
-    """Compute the result of the kernel ``estimate_errors`` pixel by pixel."""
+    """Compute pixel by pixel, in Python, what the kernel ``estimate_errors`` returns."""
     height, width = hit.shape
     result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
@@ -297,7 +299,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # A pixel without hits to its left, right, top and bottom has no estimate, so its own colour is used.
+                # If no neighbour to the left, right, top or bottom is hit, there is no contrast, and the pixel's own
+                # colour is used instead.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):
@@ -323,7 +326,7 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 @pytest.mark.parametrize("slices", [1, 6])
 def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
-    # Some rows miss the mesh, and (u, v) changes irregularly at some pixels.
+    # Every sixth row misses the mesh, and (u, v) changes irregularly at some pixels.
     hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
     y, x = np.mgrid[: size[0], : size[1]]
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
@@ -374,7 +377,7 @@ def test_more_cells_than_the_highest_level_has_are_refused(fingers):
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """The mesh consists of bars 0.3 pixels wide, one every 5.3 pixels."""
+    """The mesh consists of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss them."""
     bars = [
         trimesh.Trimesh(
             [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
@@ -392,7 +395,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
 
 
 def test_cells_detect_shadows_between_pixel_centres(fingers, table):
-    """The shadow of a strip outside of the picture falls between the pixel centres."""
+    """The shadow of a strip is narrower than a pixel and falls between pixel centres. Cells detect it."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))
     strip.apply_translation((3.0, 0.08, 3.0))

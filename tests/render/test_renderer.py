@@ -1,6 +1,6 @@
-"""Successive pictures of a ``Renderer`` equal those of ``shade``, also if recorded launches are replayed as on a GPU.
+"""Successive pictures of a ``Renderer`` equal those of ``shade``, also with launches recorded as on a GPU.
 
-Warp can record and replay launches on the CPU, so these tests need no GPU.
+Warp can record launches on the CPU, too, and repeat them, so these tests need no GPU.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from warpdiff.render import device_tiles, renderer
 SHORT = wd.Coherence(sigma_um=3.25)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
-# Number of pictures that each of two threads renders at the same time.
+# Number of pictures that each of two concurrent threads renders.
 TURNS = endurance.count(20, 150)
 
 
@@ -52,7 +52,7 @@ def painted(tube):
 
 @pytest.fixture(scope="module")
 def plans(fingers):
-    """Return plans that renderers and ``shade`` share in all tests."""
+    """Return the plans of the tests by name. A renderer and ``shade`` use the same plan."""
     table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {
@@ -73,11 +73,12 @@ CASES = {
 
 @pytest.fixture
 def recorded(monkeypatch):
-    """Make renderers record their launches on the CPU; return a list with one entry per recording."""
+    """Make renderers record their launches, as on a GPU, and return a list that grows with each recording."""
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
-    # Recorded launches have the largest possible size. On a GPU, threads without work end immediately.
+    # A recorded launch has the largest number of threads that a picture may need. On the CPU, a smaller limit saves
+    # time.
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
@@ -143,7 +144,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # Coverage is that of the finest cells, or of the last light if levels are equal, so the order of lights matters.
+    # A pixel's coverage is that of the light with the finest cells, or of the last such light, so it depends on the
+    # order.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
@@ -185,7 +187,7 @@ SAMPLED = {
 @pytest.mark.parametrize("name", SAMPLED)
 @pytest.mark.parametrize("together", [True, False])
 def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together, tube, fingers, plans, monkeypatch):
-    """The first recorded picture has a light without samples, so the next lights need additional arrays."""
+    """Launches are first recorded for a light without samples. A light with samples then needs additional arrays."""
     monkeypatch.setattr(renderer, "records", lambda _: True)
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     lights = [LIGHTS[0], SAMPLED[name]] if together else [SAMPLED[name]]
@@ -209,7 +211,7 @@ def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, 
 
     with pytest.raises(KeyError, match="mine"):
         drawn.draw(previews={0.4: fails})
-    # The picture must be complete although the callback raised an error.
+    # The callback raised an error, but the picture must be complete.
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})
@@ -229,7 +231,7 @@ def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
-    """The views are near, far, past the mesh, and inside it, where part of the mesh is behind the eye."""
+    """Views near, far, past the mesh, and inside it, with part of the mesh behind the eye, follow each other."""
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
@@ -283,7 +285,7 @@ def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plan
 
         with pytest.raises(AbandonedError):
             drawn.draw(rotated(most)[:count], view(most), progress=tell)
-    # The abandoned picture is rendered when its image is requested.
+    # Requesting the image of an abandoned picture renders the picture.
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.8)[:count], view(0.8), plan=plans[plan], **options))
     drawn.draw(rotated(0.2)[:count])
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.2)[:count], view(0.8), plan=plans[plan], **options))
@@ -297,7 +299,7 @@ def test_lights_can_change_without_the_view(tube, fingers, plans, name):
     for angle in (0.3, 0.0):
         drawn.draw(rotated(angle)[:count])
         same(drawn.image(), wd.shade(tube, fingers, rotated(angle)[:count], view(), plan=plans[plan], **options))
-    # Images returned earlier stay unchanged.
+    # An image that was returned before is not changed by later pictures.
     same(first, wd.shade(tube, fingers, LIGHTS[:count], view(), plan=plans[plan], **options))
     drawn.draw(view=view(0.2))
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.0)[:count], view(0.2), plan=plans[plan], **options))
@@ -316,21 +318,21 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The test picture is large enough for meaningful shares of pixels.
+    # The picture is twice as wide as in other tests, because shares of differing pixels are compared.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         result, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # Replay knows the brightness that selects pixels for refinement only to 1/128. Rays traced through the
-        # hierarchy may
-        # miss a face at its edge.
+        # In recorded launches, the brightness that decides about refinement is known to 1/128, and rays traced through
+        # the hierarchy may miss a face at its edge. A few pixels may therefore differ.
         few = 0.01 if drawn.plan.footprint else 0.0
         assert np.mean(result.illuminated != expected.illuminated) <= few
         assert np.mean(result.coverage != expected.coverage) <= few
         differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # Converged pixels use the cells of their neighbours, so each differently refined pixel changes those around it.
+        # The pixel filter of a converged pixel includes cells of its neighbours, so a pixel that is refined differently
+        # changes the pixels around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert result.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
@@ -355,7 +357,7 @@ def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng
     )  # fmt: skip
     wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
-    # One per cent of the illuminated pixels, rounded down, is brighter than the 99th percentile.
+    # The 99th percentile is the value that one per cent of the illuminated pixels, rounded down, exceed.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
     assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)
 
@@ -382,7 +384,7 @@ def test_launches_are_recorded_again_if_others_are_needed(fingers, plans, record
     inside = wd.View((0.0, 0.0, 0.3), (0.0, 0.0, -1.0), fov_y_deg=60.0, width=WIDTH, height=HEIGHT)
     changes = [
         (LIGHTS[0], view(0.1), 1),
-        # From inside a convex mesh, the mesh occludes the light, so shadow rays are needed.
+        # For a camera inside of a convex mesh, the mesh occludes the light, and launches with shadow rays are recorded.
         (LIGHTS[0], inside, 2),
         (LIGHTS, inside, 3),
         (LIGHTS[1], view(), 4),
@@ -463,5 +465,5 @@ def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tr
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
     tries.number = 2 * TURNS
-    # The other threads must not have changed the picture of this thread.
+    # The main thread has its own picture, which the pictures of the two threads must not have changed.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

@@ -25,7 +25,7 @@ ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
 WHITE = np.array([0.950423, 1.0, 1.088610])
 SHORT = wd.Coherence("averaged", 3.0)
-# A window much wider than the patch gives narrow orders, with only Gaussian tails between them.
+# With a window much wider than the patch, orders are narrow, and only the tails of Gaussians lie between them.
 LONG = wd.Coherence("averaged", 16.25)
 
 
@@ -44,7 +44,7 @@ def snake_view(width=96, height=72):
 
 
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
-    """Return the errors of the picture at each tolerance, on stratified random pixels."""
+    """Return the errors of pictures at several tolerances, in ``pixels`` stratified random pixels."""
     body = reference.Body.of(prepare_surface(mesh))
     result, truth, chosen = [], None, None
     for tolerance in tolerances:
@@ -71,7 +71,7 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.illuminated > 0.8 * PIXELS
-        # In the tube's picture the highlight has most of the light.
+        # The highlight is so bright that most pixels of the tube are below the floor f, but not all.
         assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
@@ -114,10 +114,11 @@ def test_lights_add(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # All pictures use the same plan, because the number of wavelengths depends on all lights of a call.
+    # All pictures use the same plan. Otherwise the wavelengths would depend on the lights of each call.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # A single light is refined to its own tolerance. With several lights, only their sum must meet the tolerance.
+    # A picture with one light is refined until it meets the tolerance. With several lights, only their sum must meet
+    # it, so the sum of the pictures differs slightly.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -138,7 +139,7 @@ def test_a_light_below_the_horizon_adds_nothing(fingers):
 
 
 def test_both_sides_are_visible(fingers):
-    """With eye and light behind the disc, the picture is the mirror image of the picture from the front."""
+    """The back of a disc is rendered like the front: the colours from behind equal the float64 reference."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])
     images = [
@@ -167,7 +168,7 @@ def two_discs():
 def test_shadows_equal_those_of_brute_force():
     view = wd.View((0.0, -2.0, 1.6), (0, 0, 0.2), width=60, height=45)
     light = wd.DirectionalLight((0.3, 0.2, 1.0))
-    # A short window spreads light to all directions, so only pixels in shadow are black.
+    # With a short window, all directions receive light, so pixels are black only in shadow.
     options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
@@ -182,7 +183,7 @@ def test_shadows_equal_those_of_brute_force():
 
 
 def spherical(subdivisions=3):
-    """Return an icosphere with three separate corners per face, and spherical texture coordinates without a seam."""
+    """Return an icosphere with separate corners for each face, and spherical texture coordinates without a seam."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     corners = ball.vertices[ball.faces.ravel()]
     u = np.arctan2(corners[:, 1], corners[:, 0]).reshape(-1, 3) / (2.0 * np.pi)
@@ -217,7 +218,7 @@ def test_the_background_is_black_and_unmasked(snake, fingers):
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
-    # The test picture has more pixels than one slice of the work.
+    # This number of pixels is larger than the slice of a picture that one thread renders at a time.
     view = snake_view(96, 72)
     options = {"coherence": SHORT, "samples_per_pixel": samples}
     first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)
@@ -228,10 +229,10 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel():
-    """Only pixels at the rim of the disc have partial coverage. Inside, samples do not change the mean brightness."""
+    """With 16 samples per pixel, only pixels at the rim are partly covered. Inside, the mean brightness is the same."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
-    # A narrow window on a flat surface gives one broad lobe.
+    # A short window on a flat surface has one broad lobe, so colours change little within a pixel.
     options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)
@@ -240,7 +241,8 @@ def test_many_samples_per_pixel():
     assert many.coverage.min() == 0.0
     assert many.coverage.max() == 1.0
     np.testing.assert_allclose(16.0 * many.coverage, np.round(16.0 * many.coverage), atol=1e-6)
-    # The filter radius is 1.5 pixels, so only pixels at most two pixels from the rim can be partially covered.
+    # The filter has a radius of 1.5 pixels, so pixels more than two pixels from the rim are completely inside or
+    # outside.
     inside, outside = one.mask.copy(), ~one.mask
     for shift in np.ndindex(5, 5):
         moved = np.roll(one.mask, (shift[0] - 2, shift[1] - 2), axis=(0, 1))
@@ -277,7 +279,8 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
     truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
-    # The pigment is a small difference of float32 sums, so the rounding error of the brighter colour is allowed.
+    # The pigment's colour is the difference of two float32 pictures, so the rounding errors of the brighter picture are
+    # allowed.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
     error = reference.picture_error(whole.reshape(-1, 3), truth[1])
@@ -288,7 +291,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
 
 
 def test_pigment_is_filtered_with_the_picture():
-    """The pigment's share of a pixel does not depend on the number of samples per pixel."""
+    """The pigment's part of a colour does not depend on the number of samples per pixel."""
     quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
     view = mirror_view(6, 1.0)
     light = wd.DirectionalLight((0.5, 0.3, 1.0))
@@ -302,7 +305,7 @@ def test_tangents_rotate_the_height_field(fingers):
     disc = whole_disc()
     view = wd.View((0.3, -0.8, 2.0), (0, 0, 0), width=40, height=30)
     count = len(disc.vertices)
-    # With the tangent along +y, the height field's x is along +y and its y along −x.
+    # With the tangent along +y, the x-axis of the height field is along +y, and its y-axis along −x.
     rotated = wd.HeightField(np.rot90(fingers.heights_um, -1), fingers.pitch_um)
     options = {"coherence": SHORT, "tolerance": 3e-4, "refine": False}
     light = wd.DirectionalLight((0.1, 0.4, 1.0))
@@ -315,7 +318,7 @@ def test_tangents_rotate_the_height_field(fingers):
 
 
 def test_facets():
-    """With ``smooth=False`` each face has one normal. In an orthographic view of a mirror, each face has one colour."""
+    """With ``smooth=False``, each face of a flat mirror has one colour in an orthographic view."""
     tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
     view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
     options = {"coherence": wd.Coherence("averaged", 0.3), "shadows": False, "refine": False}
@@ -348,19 +351,24 @@ BODIES = {
 
 @pytest.mark.parametrize("name", BODIES)
 def test_illuminated_pixels_are_finite_and_positive(name, request):
-    """Pixels have a colour if light and eye are above the surface by both the smooth and the geometric normal."""
+    """Pixels in shadow are black, and illuminated pixels have a finite colour above 0.
+
+    A pixel counts as illuminated if light and eye are above the surface by its interpolated normal and by its face
+    normal.
+    """
     mesh, view = BODIES[name]
     mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
-    # With a window as short as the fingers, orders overlap, and float32 rounds no direction between them to 0.
+    # The window is as short as the fingers, so orders overlap, and no direction between them is so dark that float32 is
+    # 0.
     coherence = wd.Coherence("averaged", 1.2)
     light = wd.DirectionalLight((0.4, 0.9, 0.7))
-    # Only rays through pixel centres are traced, because pixels at a shadow's edge would be partly illuminated.
+    # Without refinement, each pixel has one ray, through its centre, and cannot be partly in shadow.
     image = wd.shade(mesh, heightfield, light, view, coherence=coherence, pigment=0.0, tolerance=0.1, refine=False)
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
-    # The float64 reference gives rays and shadows for a flat field, because colours are not compared.
+    # Only hits and shadows of the float64 reference are used, so its height field is flat.
     body = reference.Body.of(prepare_surface(mesh))
     truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
@@ -372,9 +380,9 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
 
 
 def test_no_seam_along_the_belly(fingers):
-    """Differences across the texture seam are not larger than those between other neighbouring pixels."""
+    """At the seam of the texture, neighbouring pixels do not differ more than elsewhere."""
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
-    # In this view from below, the seam coincides with the border between the two middle columns.
+    # The view is from below, and the seam lies on the border between the two middle columns of the picture.
     view = wd.View.orthographic((0, -2, 0), (0, 0, 0), up=(1, 0, 0), extent_y=1.2, width=48, height=64)
     view = dataclasses.replace(view, extent_y=0.2 * 64 / 48)
     light = wd.DirectionalLight((0.2, -1.0, 0.3))
@@ -384,7 +392,7 @@ def test_no_seam_along_the_belly(fingers):
     step = np.abs(np.diff(logarithm, axis=1)).mean(axis=0)
     seam = 23 - 12
     assert step[seam] <= 1.2 * step[seam - 4 : seam + 5].max()
-    # Second differences of the colours are compared, too, because they show a kink that first differences hide.
+    # A kink at the seam would show in second differences of the logarithm of Y, but not in first differences.
     bend = np.abs(np.diff(logarithm, 2, axis=1)).mean(axis=0)
     assert bend[seam - 1 : seam + 1].max() <= 1.5 * bend.max(initial=0.0, where=np.arange(bend.size) // 2 != seam // 2)
 

@@ -80,7 +80,7 @@ def test_bad_extents(extent_y):
 
 
 def shares(view, points):
-    """Return the distances of points from the picture centre, over half of its width and height, shape (2, n)."""
+    """Return |x| and |y| of points in the picture, shape (2, n), where 1 is the edge of the picture."""
     frame = view.frame()
     rays = points - frame.origin
     depth = -rays @ frame.back
@@ -94,7 +94,8 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     ball.apply_translation((5, 6, 7))
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
-    # The sphere around the bounding box has √3 times the ball's radius, and touches the narrower pair of picture edges.
+    # The view contains a sphere around the bounding box, with √3 times the ball's radius. The sphere touches the
+    # narrower pair of edges of the picture.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
@@ -109,7 +110,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
 @pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
 @pytest.mark.parametrize("target", [None, (5.5, 6.0, 7.5)])
 def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
-    """The margin between mesh and picture edge is 4 % at one pair of edges, or with a target at one edge."""
+    """A margin of 4 % remains between mesh and picture at two opposite edges, or at one edge if a target is given."""
     tube = wd.meshes.tube()
     tube.apply_transform(trimesh.transformations.translation_matrix((5, 6, 7)))
     view = View.fit(tube, direction, target=target, **size)
@@ -120,7 +121,7 @@ def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
     places = np.stack([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
     assert np.abs(places).max() == pytest.approx(0.92, abs=1e-6)
     if target is None:
-        # Both edges of the pair that limits the distance have the same margin.
+        # Without a target, the mesh has the same margin to both edges of the pair that limits the distance.
         limits = np.stack([-places.min(axis=1), places.max(axis=1)])
         assert limits.min(axis=0).max() == pytest.approx(0.92, abs=1e-6)
     else:
@@ -146,13 +147,13 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     centre, moved = View.fit(box, turning=True), View.fit(box, target=(0.3, 0.2, -0.1), turning=True)
     assert moved.target == (0.3, 0.2, -0.1)
     np.testing.assert_allclose(moved.frame().back, centre.frame().back, atol=1e-12)
-    # No rotation of the mesh around the target moves a corner out of the picture.
+    # Whatever the rotation of the mesh around the target, all of its corners stay in the picture.
     for angle in np.linspace(0.0, 2.0 * math.pi, 24):
         turned = trimesh.transformations.rotation_matrix(angle, (0, 1, 0), moved.target)
         assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0
     view = View.fit(box, up=(0, 0, 2))
     np.testing.assert_allclose(view.frame().back, np.array([0, -1, 0.6]) / math.hypot(1, 0.6), atol=1e-12)
-    # Framing ignores colours and textures of the mesh, even damaged ones.
+    # The view does not depend on the colours and textures of the mesh, even if they are damaged.
     box.visual.face_colors = np.full((12, 3), 200)
     assert View.fit(box, turning=True) == centre
 

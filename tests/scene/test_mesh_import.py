@@ -1,4 +1,4 @@
-"""Import of meshes: checks, normals, tangents, handedness, base colours and convexity."""
+"""Import of meshes: checks, normals, tangents, mirrored textures, base colours and convexity."""
 
 import math
 import warnings
@@ -44,7 +44,7 @@ def test_arrays_and_units():
         assert (array.shape, array.dtype) == ((4, width), np.dtype(dtype))
     assert (surface.faces.shape, surface.faces.dtype) == ((2, 3), np.int32)
     assert np.linalg.norm(surface.vertices, axis=1).max() == pytest.approx(1.0)
-    # Far from the origin, float32 positions alone would be accurate only to 0.008.
+    # The mesh is at x = 1e5, where float32 has steps of 0.008. Positions relative to a centre are more accurate.
     world = surface.vertices.astype(np.float64) * surface.radius + surface.centre
     np.testing.assert_allclose(world, mesh.vertices, atol=1e-6)
 
@@ -65,7 +65,7 @@ def test_smooth_normals_of_a_sphere_across_unwelded_faces():
 def test_normals_of_the_mesh_are_used_and_those_computed_by_trimesh_are_not():
     normals = np.tile(np.array([[0.6, 0.0, 0.8]]), (4, 1))
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=normals)).normals, normals, atol=1e-7)
-    # Normals that point to the wrong side of their faces are reversed.
+    # Vertex normals on the wrong side of their faces are reversed.
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=-normals)).normals, normals, atol=1e-7)
     roof = np.array([[0, 0, 0], [1, 0, 1], [1, 1, 1], [1, 0, 1], [2, 0, 0], [1, 1, 1.0]])
     mesh = mesh_of(roof, [[0, 1, 2], [3, 4, 5]], uv=roof[:, :2])
@@ -94,7 +94,7 @@ def test_a_mesh_changed_in_place_has_another_surface():
     visual = TextureVisuals(uv=SQUARE[:, :2].copy(), image=texture)
     mesh = trimesh.Trimesh(SQUARE.copy(), SQUARE_FACES, visual=visual, process=False, vertex_normals=upwards)
     first = prepare_surface(mesh)
-    # The vertices are changed in a way that trimesh's own tracking of changes does not notice.
+    # The vertices are changed through a view of the array, which trimesh's tracking of changes does not notice.
     np.asarray(mesh.vertices).view(np.ndarray)[0] += 0.1
     moved = prepare_surface(mesh)
     assert not np.array_equal(moved.vertices, first.vertices)
@@ -114,7 +114,7 @@ def test_a_single_tangent_applies_to_all_vertices():
 
 
 def test_normals_stay_on_the_side_of_their_faces_under_an_overhang():
-    # At a shared position, two larger corners face down and one faces up.
+    # Three faces share a position: two larger ones face down, and one faces up.
     x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
     corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
@@ -129,7 +129,7 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
     file.write_bytes(written if isinstance(written, bytes) else written.encode())
     tangents = np.broadcast_to([1.0, 0.3, 0.2], (3 * len(ball.faces), 3))
     opened = trimesh.load(file, process=False)
-    # When normals at vertices are accessed, trimesh computes some, too.
+    # An access to the vertex normals of a mesh makes trimesh compute and store them.
     accessed = trimesh.load(file, process=False)
     assert accessed.vertex_normals.shape == (3 * len(ball.faces), 3)
     for mesh in (file, opened, accessed):
@@ -138,7 +138,8 @@ def test_an_stl_file_has_the_normals_of_its_facets(write, tmp_path):
         facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facets /= np.linalg.norm(facets, axis=1, keepdims=True)
         np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(facets[:, None], 3, axis=1), atol=1e-3)
-    # Separate triangles that are not from an STL file are smooth, as are meshes with other vertex normals.
+    # Separate triangles that do not come from an STL file are shaded smoothly, as are meshes with explicit vertex
+    # normals.
     loose = trimesh.Trimesh(opened.vertices, opened.faces, process=False)
     np.testing.assert_allclose(prepare_surface(loose, tangents=tangents).normals, loose.vertices, atol=2e-2)
     opened.vertex_normals = loose.vertices
@@ -181,7 +182,7 @@ def test_tangents_follow_u_and_mirrored_textures_are_detected():
 
 
 def test_a_fold_of_the_texture_splits_its_vertices():
-    # Two adjacent squares share an edge, about which the second texture is mirrored.
+    # Two adjacent squares share an edge. The texture of the second square is mirrored about this edge.
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0.0]])
     faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
     uv = np.array([[0, 0], [1, 0], [0, 0], [0, 1], [1, 1], [0, 1.0]])
@@ -207,7 +208,8 @@ def test_tangents_are_joined_across_seams_of_nearly_equal_direction(angle_deg, j
 
 
 def test_similar_tangents_at_one_position_are_joined():
-    # Triangles around a point have separate vertices and texture directions, and some textures are mirrored.
+    # The triangles around a point have separate vertices. Their textures have different directions, and some are
+    # mirrored.
     rng = np.random.default_rng(3)
     count = 40
     turn = 2.0 * math.pi * np.arange(count) / count
@@ -243,7 +245,7 @@ def test_zero_tangents_are_filled_from_neighbours():
 
 
 def test_degenerate_texture_triangles_are_skipped():
-    # Two faces of the strip have no area in the texture, so their tangents come from neighbouring faces.
+    # Two faces have no area in the texture, so their tangents are those of neighbouring faces.
     vertices = np.concatenate([SQUARE, [[2, 0, 0], [2, 1, 0]]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
     uv = np.concatenate([SQUARE[:, :2], [[1, 0.5], [1, 0.7]]])
@@ -272,7 +274,7 @@ def test_no_colour():
 def test_plain_colours():
     for material, expected in [
         (SimpleMaterial(diffuse=[255, 51, 0, 255]), (1.0, decode(0.2), 0.0)),
-        # The colour factors of glTF are linear.
+        # The base colour factor of glTF is linear, unlike the diffuse colour of other formats.
         (PBRMaterial(baseColorFactor=[255, 51, 0, 255]), (1.0, 0.2, 0.0)),
     ]:
         surface = prepare_surface(square(material=material))
@@ -318,7 +320,8 @@ def test_scenes_are_joined_with_their_transforms():
     world = surface.vertices * surface.radius + surface.centre
     np.testing.assert_allclose(world[4:, 0], -SQUARE[:, 0], atol=1e-6)
     np.testing.assert_allclose(world[4:, 2], 3.0, atol=1e-6)
-    # A mirroring transform reverses the vertex order. Normals are corrected, and the texture is marked as mirrored.
+    # The second square is mirrored by its transform, which reverses the vertex order. Its normals are corrected, and
+    # its texture is marked as mirrored.
     np.testing.assert_allclose(surface.normals[:, 2], 1.0, atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 4 + [-1] * 4)
     assert surface.texture.shape == (4, 4, 3)
@@ -336,12 +339,13 @@ def test_scenes_with_two_textures_are_refused():
 
 
 def folded(mesh):
-    """Return the mesh without its normals, with its texture mirrored about a line along the mesh."""
+    """Return the mesh without normals, with a texture that is mirrored at a line along the mesh."""
     uv = np.array(mesh.visual.uv)
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
 
-# The tube has 25 faces around. With 24, tangents at a tip would differ by exactly 30°, the limit for joining them.
+# Tangents at one position are joined if they differ by less than 30°. At the tips of a tube with 24 faces around they
+# would differ by exactly 30°, so the tube has 25.
 @pytest.mark.parametrize(
     "mesh",
     [meshes.tube(segments_along=40, segments_around=25), folded(meshes.tube(segments_along=40, segments_around=25)),
@@ -356,7 +360,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     after = prepare_surface(moved)
     world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
     np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
-    # Rounding positions to float32 rotates the edges of faces by about 5e-5.
+    # Positions rounded to float32 change the directions of faces by about 5e-5.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
     for name in ("faces", "handedness", "uvs", "is_convex"):
@@ -380,10 +384,10 @@ def test_files(tmp_path, fuze_path):
 
 
 def nearly_convex(fault):
-    """Return a mesh that is convex except for a few faces."""
+    """Return a mesh that is convex except for a fault: a flipped face, a dent, or a small separate part."""
     if fault == "flipped":
         box = trimesh.creation.box().subdivide().subdivide()
-        # One face within a side of the box is flipped, where all neighbours are in the same plane.
+        # The flipped face is within a side of the box, so all of its neighbours lie in the same plane.
         within = np.flatnonzero(np.all(np.count_nonzero(np.abs(box.triangles) == 0.5, axis=2) == 1, axis=1))
         faces = np.array(box.faces)
         faces[within[1]] = faces[within[1], ::-1]

@@ -1,6 +1,7 @@
-"""The BSDF plug-in for Mitsuba 3, compared with ``wd.brdf``, order efficiencies, and Mitsuba's chi-square test.
+"""The BSDF plug-in for Mitsuba 3, tested by ``wd.brdf``, order efficiencies, and Mitsuba's chi-square test.
 
-``make test-mitsuba`` installs the requirements. Compiled variants need LLVM 17 or newer, because older versions crash.
+``make test-mitsuba`` installs the requirements. Mitsuba's compiled variants (``llvm_…``) need LLVM 17 or newer, because
+older versions crash.
 """
 
 import glob
@@ -58,7 +59,7 @@ def bsdf_of(path, variant, **options):
 
 
 def interaction(count=None, to_light=LIGHT):
-    """Return a surface interaction with the given direction to the light and four wavelengths."""
+    """Return one or ``count`` surface interactions with a direction to the light and the four ``WAVELENGTHS``."""
     si = mi.SurfaceInteraction3f() if count is None else dr.zeros(mi.SurfaceInteraction3f, count)
     si.wi = mi.Vector3f(*map(float, to_light))
     if mi.is_spectral:
@@ -69,14 +70,15 @@ def interaction(count=None, to_light=LIGHT):
 def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     bsdf = bsdf_of(spectrum_file, "scalar_spectral", masking=False)
     views = hemisphere(np.random.default_rng(3), 60, lowest=0.1)
-    # A third of the view directions are near the mirror direction.
+    # A third of the 60 view directions are near the mirror direction, where the BRDF is largest.
     views[:20] = LIGHT * [-1.0, -1.0, 1.0] + np.random.default_rng(4).normal(0.0, 0.02, (20, 3))
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     exact = wd.brdf(fingers, LIGHT, views, WAVELENGTHS, coherence=WINDOW, tolerance=3e-3) * views[:, 2:]
     context, si = mi.BSDFContext(), interaction()
     result = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
     relative = np.abs(result - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
-    # The cells of the baked spectrum are a quarter of the lobe's standard deviation wide, which limits its accuracy.
+    # The accuracy of the baked spectrum is limited, because its cells are as wide as a quarter of the lobe's standard
+    # deviation.
     assert np.percentile(relative, 95.0) < 0.05
 
 
@@ -120,7 +122,7 @@ def test_colours_equal_those_of_baked_lobes(lobes_file):
 
 
 def chi_square(bsdf):
-    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``, with a resolution for lobes of a few degrees."""
+    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``, with cells that resolve lobes of a few degrees."""
 
     def sample(numbers):
         count = dr.width(numbers)
@@ -147,7 +149,7 @@ def test_samples_follow_their_density(variant, request, tmp_path, monkeypatch):
 @needs_llvm
 @pytest.mark.parametrize("degrees", [0.0, 30.0])
 def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectrum_file, degrees):
-    """The mean sample weight equals the sum of the order efficiencies, except for orders cut off by the horizon."""
+    """The horizon cuts off some orders, so the mean sample weight is between sums with and without these orders."""
     bsdf = bsdf_of(spectrum_file, "llvm_ad_spectral", masking=False)
     angle, count = np.radians(degrees), 1_000_000
     to_light = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
@@ -157,7 +159,8 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     weights = np.array(weights).reshape(4, count)
     result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # Orders within the lobe's width of the horizon are excluded: the horizon cuts them, and their efficiency diverges.
+    # The lower limit excludes orders that are closer to the horizon than the width of a lobe: the horizon cuts them
+    # off, and their efficiency diverges.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
     assert np.all(result > least - 4.0 * noise - 0.01 * least)

@@ -1,4 +1,4 @@
-"""Frames rendered by Dask workers equal local frames, even if workers are killed; run by ``make test-dask``."""
+"""Frames rendered by Dask workers equal those rendered locally, even if workers are killed; see ``make test-dask``."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Sequences: positions of cameras and lights, frames equal to those of the renderer, and resumption."""
+"""Sequences of frames: positions of cameras and lights, frames equal to those of the renderer, and resumption."""
 
 import dataclasses
 import json
@@ -38,7 +38,7 @@ def test_a_turntable_turns_once_about_the_target():
     np.testing.assert_allclose(np.linalg.norm(eyes, axis=1), np.linalg.norm(eyes[0]))
     np.testing.assert_allclose(eyes.sum(axis=0)[[0, 2]], 0.0, atol=1e-9)
     np.testing.assert_allclose(eyes[:, 1], 2.0)
-    # Lights keep their position relative to the camera, which moves clockwise: the mesh appears to turn
+    # Lights keep their position relative to the camera. The camera moves clockwise, so the mesh appears to turn
     # counter-clockwise.
     towards = np.array([each.lights[0].to_light for each in shots])
     np.testing.assert_allclose(np.sum(towards * eyes, axis=1), towards[0] @ eyes[0])
@@ -46,9 +46,10 @@ def test_a_turntable_turns_once_about_the_target():
     assert before[1] * after[0] - before[0] * after[1] < 0.0
     around = wd.turntable(LIGHT, VIEW, count=8, turns=-0.5, lights_follow=False)
     assert {each.lights for each in around} == {(LIGHT,)}
-    # At this frame the camera has rotated by a quarter turn, counter-clockwise as seen from above.
+    # In frame 4 of the half turn, the camera has rotated by a quarter turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
-    # A camera fitted for a turntable shows the whole mesh in all frames, here around one of its ends.
+    # A camera fitted with ``turning=True`` shows the whole mesh in all frames of a turntable, here around one end of
+    # the mesh.
     body = wd.meshes.tube()
     for shot in wd.turntable(
         LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30, turning=True), count=7
@@ -78,24 +79,24 @@ def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # The direction to the disc light rotates about +x, like the position of the point light.
+    # The direction to the disc light rotates about +x by the same quarter turn.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
     assert {each.view for each in shots} == {VIEW}
     turning = wd.light_sweep([sky, disc], VIEW, turns=0.5, count=2)
     assert turning[0].lights == (sky, disc)
-    # A quarter turn of the lights, counter-clockwise from above, maps +x to −z.
+    # A rotation of the lights by a quarter turn, counter-clockwise from above, moves the sun from +x to −z.
     expected = wd.Environment.clear_sky((0.0, 1.0, -1.0))
     assert turning[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
     np.testing.assert_allclose(turning[1].lights[1].to_light, (z, y, -x))
-    # For an upside-down camera, lights rotate in the opposite direction.
+    # If the camera is upside down, lights rotate in the opposite direction.
     below = wd.light_sweep(sky, dataclasses.replace(VIEW, up=(0.0, -1.0, 0.0)), turns=-0.5, count=2)
     assert below[1].lights[0].rotation_deg == pytest.approx(expected.rotation_deg)
 
 
 class Spotlight(wd.PointLight):
-    """A user-defined kind of light, which may have an axis."""
+    """A kind of light that a user could define as a subclass, with an optional axis."""
 
 
 def test_lights_that_cannot_be_rotated_are_refused():
@@ -141,7 +142,7 @@ def test_a_path_is_read_from_a_file(tmp_path):
 
 
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
-    """Frames under all lights equal those of ``shade``, also from a worker. Shots do not store the arrays of skies."""
+    """Frames under all kinds of light equal those of ``shade``, also from a worker. Shots store no arrays of skies."""
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
     # The power of the disc light makes it about as bright as the sky.
@@ -163,7 +164,7 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sky with another image or a minimally different rotation belongs to another sequence.
+    # A sequence with a different sky image, or with a minimally different rotation, is another sequence.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):
@@ -176,7 +177,7 @@ def test_frames_equal_those_of_the_renderer_at_one_exposure(renderer, tmp_path):
     shares = []
     paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    # Progress is reported within frames and after each complete frame.
+    # ``progress`` is called during each frame and after it.
     assert shares == sorted(shares)
     assert len(shares) > 6
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -207,7 +208,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # One of the stored frames is truncated, and another has a wrong picture size. Both must be rendered again.
+    # Of the four stored frames, one is truncated, and another has a wrong picture size. Both must be rendered again.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
@@ -218,7 +219,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
         return draw(self, lights, view, **options)
 
     monkeypatch.setattr(wd.Renderer, "draw", recorded)
-    # The sequence is resumed with an equal renderer, as another process would create it.
+    # The sequence is resumed with a copy of the renderer, as in another process.
     paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (pickled in this line)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole
@@ -262,7 +263,8 @@ def test_an_animated_file_shows_every_frame(renderer, tmp_path, suffix):
         assert film.info["loop"] == 0
         for index in range(4):
             film.seek(index)
-            # Lossy formats and colour palettes change the colours of the frames slightly.
+            # Only the PNG animation is lossless: WebP and the colour palettes of GIF change the colours of the frames
+            # slightly.
             difference = np.abs(np.asarray(film.convert("RGB")).astype(int) - pixels(paths[index])[..., :3])
             assert difference.mean() < {".png": 1e-9, ".webp": 3.0, ".gif": 6.0}[suffix]
             assert film.info["duration"] == pytest.approx(100.0)

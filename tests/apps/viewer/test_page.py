@@ -30,9 +30,9 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Time limit of each step in milliseconds, which is long because test machines may be busy.
+# Time limit of each step of a test in milliseconds. It is long because test machines may be busy.
 WAIT_MS = 240_000
-# Size of the browser window in pixels. Next to the panel it has a stage of 320 × 240 pixels.
+# Size of the browser window in pixels. Next to the panel of controls, 320 × 240 pixels remain for the picture.
 SMALL = {"width": 640, "height": 240}
 
 
@@ -114,7 +114,7 @@ class Page:
         self.page.goto(url)
 
     def rest(self):
-        """Wait for the final picture of the current settings, and return its pixels."""
+        """Wait until the page shows the final picture of its settings, and return the pixels."""
         self.page.wait_for_function(
             "() => { const c = document.getElementById('picture').dataset;"
             "return c.error || (c.last === 'true' && c.generation === c.requested); }",
@@ -124,7 +124,7 @@ class Page:
         return self.pixels()
 
     def pixels(self):
-        """Return the pixels of the canvas, (height, width, 3)."""
+        """Return the pixels of the canvas that shows the picture, (height, width, 3)."""
         url = self.page.eval_on_selector("#picture", "c => c.toDataURL('image/png')")
         image = Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2])))
         return np.asarray(image.convert("RGB")).astype(int)
@@ -158,7 +158,7 @@ class Page:
 @pytest.fixture
 def page(chromium, viewer):
     made = Page(chromium, viewer.url)
-    # Initially the page shows the first file of the command line, so the test settings are selected here.
+    # The page opens with the first file of the command line, so the mesh and surface of the tests are selected here.
     for name, value in {"mesh": "tube", "surface": "nano-fingers", "height": "240", "tolerance": "1e-1"}.items():
         made.set(name, value)
     yield made
@@ -170,7 +170,7 @@ def changed(pixels, before):
 
 
 def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
-    # The exposure is locked, because with automatic exposure all mirrors would have the same picture.
+    # Automatic exposure would give all mirrors the same picture, so the exposure is locked.
     page.set("lock_exposure", True)
     first = page.rest()
     assert first.shape == (240, 320, 3)
@@ -238,7 +238,7 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(lines, made)  # noqa: S102 (the viewer's own lines)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The pixels of the page also equal those of ``shade`` with the same plan.
+    # The picture on the page also equals that of ``shade`` with the plan of the Python lines.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
@@ -246,7 +246,8 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The command line makes a plan for its own directions, so its picture agrees with the page only approximately.
+    # The command makes a plan for the directions of its own picture, so its pixels agree with the page only
+    # approximately.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0
@@ -294,7 +295,7 @@ def test_an_error_of_one_page_does_not_reach_another_page(page, chromium, viewer
         other.set(name, value)
     first, second = page.rest(), other.rest()
     assert changed(first, second) > 0.1
-    # The requested bumps are wider than their spacing, so the page shows an error.
+    # Bumps with this width are wider than their spacing, so the page shows an error instead of a picture.
     other.set("surface", "bumps")
     other.set("bumps_width_um", 2)
     other.page.wait_for_function("() => document.getElementById('picture').dataset.error", timeout=WAIT_MS)

@@ -17,7 +17,8 @@ def test_sample_bodies_are_cached_on_disk(tmp_path, monkeypatch):
     first = page_bodies.surface_of(call, None)
     assert len(list(tmp_path.iterdir())) == 1
     make = Call.make
-    # Rendering threads of other tests may still create meshes, so only the tested mesh must not be created again.
+    # The replaced ``Call.make`` fails only for the tested mesh, because rendering threads of other tests may make other
+    # meshes.
     monkeypatch.setattr(
         Call, "make", lambda other: pytest.fail("the cache is not used") if other is call else make(other)
     )

@@ -1,4 +1,4 @@
-"""Library calls for the settings of a page: executed calls, Python text and command line have the same arguments."""
+"""The viewer's settings as library calls: executed calls, Python lines and the command have the same arguments."""
 
 import functools
 import inspect
@@ -30,12 +30,12 @@ def files(tmp_path):
 
 
 def extremes(control):
-    """Return all values of a choice, or the two end values of a slider."""
+    """Return all values of a control with choices, or the two end values of a slider."""
     return list(control.labels) or ([True, False] if control.slider is None else list(control.slider[:2]))
 
 
 def scenes(files):
-    """Yield each control of the viewer with scenes that set it to its extreme values and that make it visible."""
+    """Yield each control of the viewer with scenes in which it is visible and has one of its extreme values."""
     first = checked(files.controls, {"mesh": "snake", "surface": "fingers", "light": "directional"})
     for control in files.controls.values():
         shown = first | {name: values[0] for name, values in control.shown_if.items()}
@@ -55,7 +55,7 @@ def test_every_control_is_part_of_a_scene(files, tmp_path):
 
 @pytest.fixture
 def recorded(monkeypatch, tmp_path):
-    """Replace gratings, meshes and environments by the names of their functions with all arguments."""
+    """Replace functions for gratings, meshes and environments by functions that return their name and arguments."""
 
     def recorder(function):
         @functools.wraps(function)
@@ -79,7 +79,7 @@ def operands_of(value):
 
 
 def by_python(lines):
-    """Return the arguments that Python text passes to the renderer."""
+    """Execute Python lines of the page, and return the arguments that they pass to ``Renderer``."""
     names = {}
     recording = lines.partition("renderer.image()")[0].replace("wd.Renderer(", "(lambda *a, **k: (a, k))(")
     exec(recording, names)  # noqa: S102 (the viewer's own lines)
@@ -89,7 +89,7 @@ def by_python(lines):
 
 
 def by_command(command, monkeypatch):
-    """Return the arguments of the picture that a command line renders."""
+    """Run a command of the page, and return the arguments that it passes to ``shade``."""
     calls = []
 
     def shade(mesh, heightfield, lights, view, **options):
@@ -174,7 +174,7 @@ def test_scenes_are_written_as_they_are_made():
     assert words[words.index("--ior") + 1] == "inf"
     assert words[words.index("--coherence") + 1] == "source"
     assert {"--no-masking", "--display"} < set(words)
-    # Normalised energy replaces masking, so a scene with it has no option ``masking``.
+    # With normalised energy, no masking is applied, so the scene has no option ``masking``.
     scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
     assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
     words = scene.command(VIEW, 0.5, {}).split()

@@ -21,7 +21,7 @@ KNOWN = controls()
 
 
 class Studio:
-    """Stand-in for the rendering thread: it renders nothing, and records requests."""
+    """Stand-in for the viewer's rendering thread: it renders nothing, and records requests of pages."""
 
     def __init__(self):
         self.sessions, self.requests = [], []
@@ -42,7 +42,7 @@ class Studio:
 
 @contextlib.contextmanager
 def serving(host="127.0.0.1"):
-    """Run a server in a separate thread."""
+    """Run a server of the viewer in a separate thread."""
     studio, ready = Studio(), threading.Event()
 
     async def begun():
@@ -69,7 +69,7 @@ def serving(host="127.0.0.1"):
 
 
 def ask(server, text, wait_s=5.0):
-    """Return the server's answer to a text or bytes on a new connection."""
+    """Send a text or bytes to the server on a new connection, and return its answer."""
     with socket.create_connection(("127.0.0.1", server.port), timeout=wait_s) as connection:
         connection.sendall(text if isinstance(text, bytes) else text.replace("\n", "\r\n").encode())
         answer = b""
@@ -164,7 +164,7 @@ def test_silent_connections_are_closed(monkeypatch):
         silent = [
             stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0)) for _ in range(100)
         ]
-        # If the server did not close a silent connection, reading from it would raise a timeout error.
+        # Reading ends without an error if the server closes the connection, and with a timeout error otherwise.
         for connection in silent:
             while connection.recv(1000):
                 pass
@@ -209,7 +209,7 @@ def test_invalid_values_are_reported_only_to_their_page():
             before = len(studio.requests)
             page.send(draw(**case))
             page.send(draw(generation=7))
-            # After an invalid request, the server still accepts the next valid request.
+            # ``case`` may be an invalid request. The server must still accept the valid request that follows it.
             give_up = time.monotonic() + 5.0
             while time.monotonic() < give_up and not (
                 len(studio.requests) > before and studio.requests[-1].generation == 7
@@ -218,7 +218,7 @@ def test_invalid_values_are_reported_only_to_their_page():
             assert studio.requests[-1].generation == 7, case
             refused += len(studio.requests) == before + 1
             if len(studio.requests) > before + 1:
-                # Accepted requests contain only values that the controls allow.
+                # If the server accepted ``case``, its values must be among those that the controls allow.
                 values = studio.requests[before].values
                 assert checked(KNOWN, values) == values
         assert refused > 0.75 * len(cases)

@@ -41,7 +41,7 @@ class Page:
         self.studio, self.session = studio, studio.session(lambda *sent: self.messages.put(sent))
 
     def until(self, holds):
-        """Return all messages up to the first message that satisfies a condition, and acknowledge each picture."""
+        """Return all messages up to the first for which ``holds`` is true, and acknowledge each picture among them."""
         received = []
         while not received or not holds(received[-1][0]):
             received.append(self.messages.get(timeout=WAIT_S))
@@ -96,7 +96,7 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # A short coherence window saves several seconds for the tables of the page, of its Python lines and of its command.
+    # A short coherence window saves several seconds: the page, its Python lines and its command each make a table.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
@@ -114,15 +114,15 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The saved file equals the picture on the page. The command has its own plan, so its picture agrees
-        # approximately.
+        # The saved file equals the picture on the page. The command makes its own plan, so its picture is only similar.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
         command = shlex.split(last["command"])
         assert cli.main(command[1:]) == 0
         assert np.percentile(np.abs(np.asarray(Image.open("picture.png")) - pixels), 99.0) <= 8
-        # The environment fills the background. After a change of the view, its arrays on the device are reused.
+        # Without ``environment_behind``, the background has a single colour. The second picture reuses the arrays of
+        # the sky on the device.
         uploads, upload = [], sky_distribution.upload_sky
         monkeypatch.setattr(
             sky_distribution, "upload_sky", lambda *operands: uploads.append(operands) or upload(*operands)
@@ -140,7 +140,8 @@ def test_a_released_control_is_refined_immediately(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, moving=True))
         page.until(lambda message: message["kind"] == "picture")
-        # A control is released at the value of the last preview, or slightly beyond it.
+        # The control is released at the value of the last preview, or slightly beyond it. In both cases the first
+        # picture after the release is refined.
         for generation, azimuth_deg in ((2, 20.0), (4, 31.0)):
             studio.request(page.session, page_request(generation, azimuth_deg=azimuth_deg))
             ((first, _), *_) = (part for part in page.until(is_last) if part[0]["kind"] == "picture")
@@ -149,7 +150,7 @@ def test_a_released_control_is_refined_immediately(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # After a change of the settings, the first picture is unrefined.
+        # If the settings change while no control is moved, the first picture is unrefined.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)
@@ -169,7 +170,7 @@ def test_a_click_in_a_finished_picture_reports_angles_without_rendering(studio):
 
 
 def delayed(is_delayed):
-    """Return a ``draw`` that waits in its first refined picture until cancelled, and a queue of started pictures."""
+    """Return a ``Renderer.draw`` whose first refined picture waits until cancelled, and a queue of begun views."""
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, previews=None):
@@ -204,7 +205,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # Short time limits for previews simulate a slower machine.
+        # Very short time limits for previews have the effect of a slow machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):
@@ -215,7 +216,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
         assert len(moving) == 2
         assert {message["tolerance"] for message in moving} == {None}
         assert moving[0]["height"] < 240
-        # After the movement, an unrefined picture of full size comes first.
+        # The first picture after the movement has full size and is unrefined.
         studio.request(page.session, page_request(10, azimuth_deg=27.0))
         received = page.until(lambda message: is_last(message) and message["generation"] == 10)
         first, *_ = (part for part, _ in received if part["kind"] == "picture" and part["generation"] == 10)
@@ -225,14 +226,14 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
 def test_previews_have_as_many_pixels_as_the_frame_rate_allows():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
-    # Rendering time in seconds: a fixed part, and a part for all pixels. Previews below 320 × 240 are used only below
-    # 12 Hz.
+    # Rendering takes a fixed time and a time in proportion to the pixels, both in seconds. The last number is the
+    # expected width of previews. Widths below 320 are used only if 320 × 240 is slower than 12 Hz.
     for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
         studio._times, studio._last_pixels, sizes = deque(maxlen=5), math.inf, []
         for index in range(16):
             view = studio._smaller(full)
             sizes.append(view.width)
-            # Every eighth picture is late, which must not change the size of the previews.
+            # Every eighth picture takes 0.2 s longer, which must not change the size of the previews.
             late = 0.2 * (index % 8 == 7)
             pixels = view.width * view.height
             studio._times.append((fixed + of_all * pixels / (640 * 480) + late) / math.sqrt(pixels))

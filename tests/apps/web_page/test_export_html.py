@@ -25,7 +25,7 @@ FLAGS = (
     "--disable-background-networking --disable-component-update --disable-sync"
 )
 WIDTH, HEIGHT, FRAMES, AT_ONCE = 96, 72, 1024, 16
-# Time limit of each step in milliseconds, which is long because test machines may be busy.
+# Time limit of each step of a test in milliseconds. It is long because test machines may be busy.
 WAIT_MS = 240_000
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEWS = [
@@ -62,7 +62,7 @@ def chromium():
 
 
 def opened(chromium, path, *more):
-    """Return a browser, the opened page, and a list of the page's console messages."""
+    """Open a page. Return the browser, the opened page, and a list to which console messages are added."""
     browser = chromium.launch(executable_path=CHROMIUM, args=[*FLAGS.split(), *more])
     shown = browser.new_page(viewport={"width": 240, "height": 200})
     shown.set_default_timeout(WAIT_MS)
@@ -75,7 +75,7 @@ def opened(chromium, path, *more):
 
 @pytest.fixture(scope="module")
 def shown(page, chromium):
-    """Return the page in a browser, with its console messages as ``said``."""
+    """Return the exported page, opened in a browser, with a list of its console messages as ``said``."""
     browser, shown, said = opened(chromium, page)
     shown.evaluate("warpdiff.ready")
     shown.said = said
@@ -92,7 +92,7 @@ RENDER = """(wanted) => {
 
 
 def render(shown, frames, **wanted):
-    """Return XYZ and coverage of the mean of ``frames`` frames, with row 0 at the top."""
+    """Let the page render ``frames`` frames. Return XYZ and coverage of their mean, with row 0 at the top."""
     done = 0
     while done < frames:
         width, height, text = shown.evaluate(
@@ -109,7 +109,7 @@ def of_view(view, to_light):
 
 
 def canvas(shown):
-    """Return the pixels of the canvas, from 0 to 1."""
+    """Return the pixels of the page's canvas, scaled to 0 to 1."""
     text = shown.evaluate("document.getElementById('canvas').toDataURL('image/png')")
     with PIL.Image.open(io.BytesIO(base64.b64decode(text.partition(",")[2]))) as picture:
         return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
@@ -122,7 +122,7 @@ def colour_difference(shown, other):
 
 @pytest.mark.parametrize("index", range(3))
 def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
-    """The error is the 99th percentile of ΔE2000 over pixels whose rays all hit the mesh and are illuminated."""
+    """The page's ΔE2000 is tested in pixels whose rays all hit the mesh and are illuminated: its median and its P99."""
     view, to_light = VIEWS[index], LIGHTS[index]
     light = wd.DirectionalLight(to_light)
     exact = wd.shade(body, skin, light, view, coherence=WINDOW, pigment=PIGMENT, tolerance=3e-2)
@@ -134,13 +134,13 @@ def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
     differences = colour_difference(canvas(shown), exact.display()[..., :3])[interior]
     assert np.percentile(differences, 99.0) <= 3.0
     assert np.median(differences) <= 0.75
-    # The reference picture has a tolerance of 3 %, so sums of Y may differ by this much.
+    # The picture of ``shade`` has a tolerance of 3 %, so the sum of Y may differ by this much.
     assert result[..., 1][interior].sum() == pytest.approx(exact.xyz[..., 1][interior].sum(), rel=0.03)
     assert np.abs(result[..., 3] - exact.coverage).mean() < 0.01
 
 
 def test_a_point_light_equals_that_of_shade(shown, skin, body):
-    """With few frames, medians and sums of pixels are compared, because edges are noisy."""
+    """The page renders only a few frames, so pixels are noisy, and medians and sums are compared."""
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
@@ -153,7 +153,8 @@ def test_a_point_light_equals_that_of_shade(shown, skin, body):
     assert np.median(colour_difference(pixels, exact.display()[..., :3])[inside]) <= 1.0
     assert result[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
     assert np.median(result[..., 1][dark]) < 0.05 * np.median(result[..., 1][inside])
-    # A directional light with the same brightness in the picture centre gives a clearly different picture.
+    # A directional light that is as bright in the picture centre gives a clearly different picture from the point
+    # light.
     far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
     render(shown, 16, **far)
     assert np.median(colour_difference(canvas(shown), exact.display()[..., :3])[inside]) > 3.0
@@ -179,7 +180,7 @@ def distance(state):
 
 
 def test_dragging_rotates_body_and_light(shown):
-    """The test drags on the canvas and on the light's disc, turns the wheel, and moves the slider."""
+    """The test drags on the canvas and on the disc of the light, turns the wheel, and moves the exposure slider."""
     shown.evaluate("warpdiff.render({ width: 64, height: 48, frames: 1 }).width")
     state = shown.evaluate(STATE)
 
@@ -223,7 +224,7 @@ def test_a_page_is_within_its_size_limit_and_complete(shown, page):
 
 
 def test_the_console_stays_empty(shown):
-    # Chromium warns about reading pixels back, which the page does only in tests.
+    # Chromium warns when a script reads pixels from the graphics memory. Only the tests do this, not the page.
     assert not [each for each in shown.said if "GPU stall due to ReadPixels" not in each[1]]
 
 
@@ -234,13 +235,13 @@ def test_without_webgl_2_a_message_is_shown(page, chromium):
     browser.close()
 
 
-# Pixels at the edges of facets have large errors, so only the median error is limited.
+# At the edges of facets, pixels have large errors, so the test limits only the median error and the sum.
 @pytest.mark.filterwarnings("ignore:.*of the pixels see more than")
 @pytest.mark.parametrize(
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
 def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chromium, tmp_path):
-    """The page supports mirrored textures, facets and several lights, which the other tests do not use."""
+    """A page may have mirrored textures, facets and several lights, which the other tests do not use."""
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)

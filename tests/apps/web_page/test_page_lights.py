@@ -1,4 +1,4 @@
-"""Lights of exported pages, without a browser: supported lights are written, others are refused by name."""
+"""Lights of exported pages, tested without a browser: supported kinds are written, others refused in one message."""
 
 import json
 import math
@@ -18,7 +18,7 @@ def lobes():
 
 
 def lights_of(path):
-    """Return the lights in the header of a page."""
+    """Return the lights that the JSON header of a page lists."""
     text = path.read_text(encoding="utf-8")
     return json.loads(re.search(r'id="header">(.*?)</script>', text, re.DOTALL)[1])["lights"]
 
@@ -31,13 +31,13 @@ def test_points_and_discs_are_written_as_one_lobe_each(lobes, square, tmp_path):
     ]
     point, disc, lamp = lights_of(wd.export_html(tmp_path / "page.html", square, lobes, lights, VIEW))
     assert point == {"to_light": pytest.approx([0.0, 0.6, 0.8]), "position": None, "power": 2.0, "deviation": 0.0}
-    # A uniform disc of radius r has a variance of r² / 4 along each axis.
+    # A uniform disc of radius r has a variance of r²/4 along each axis, so its standard deviation is r/2.
     assert disc["deviation"] == pytest.approx(math.radians(2.5) / 2.0)
     assert (lamp["position"], lamp["power"], lamp["deviation"]) == ([1.0, 2.0, 3.0], 7.0, 0.0)
 
 
 class Spotlight(wd.PointLight):
-    """A user-defined kind of light, which pages do not support."""
+    """A kind of light that a user could define as a subclass, and that pages do not support."""
 
 
 def test_other_lights_are_refused_in_one_message_that_names_them(lobes, square, tmp_path):
