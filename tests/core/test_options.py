@@ -25,7 +25,7 @@ Spelling = Literal["normalised", "normalized", "plain"]
 
 @dataclass(frozen=True, kw_only=True)
 class Base(Checked):
-    """Options shared by groups of options, as test data.
+    """Test class whose options the class ``Group`` inherits.
 
     Attributes:
         tolerance: Error that is accepted.
@@ -38,7 +38,7 @@ class Base(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(Base):
-    """Group with one option of each kind, as test data.
+    """Test class with one option of each type.
 
     Attributes:
         length_um: Length of the window
@@ -101,7 +101,7 @@ def test_annotations_of_fields():
     assert list(kinds.values()) == ["pair", "flag", "text", "object", "object", "object"]
 
 
-def test_inherited_options_have_the_last_meaning_and_no_american_spellings():
+def test_redefined_options_have_the_new_description_and_no_american_spellings():
     option = describe(Group)["kind"]
     assert option == Option("kind", "choice", "plain", "Meaning of the group.", choices=("normalised", "plain"))
     assert describe(Base)["kind"].help == "Meaning of the base."

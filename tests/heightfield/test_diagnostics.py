@@ -44,7 +44,7 @@ def test_the_error_bound_of_a_sine_has_a_closed_form(period):
 
 
 def test_for_short_periods_the_error_bound_is_the_missing_power():
-    """For a sine, scalar theory removes 1 − J_0² from the mirror order, even if no other order propagates."""
+    """For a sine, scalar theory removes the power 1 − J_0² from the mirror order, even if no other order exists."""
     depth, wavelength = 0.01, 500.0
     heightfield = wd.gratings.sinusoidal(0.3, depth)
     orders = wd.order_efficiencies(heightfield, (0, 0, 1), wavelength, ior=math.inf, energy="stam")
@@ -53,7 +53,7 @@ def test_for_short_periods_the_error_bound_is_the_missing_power():
     assert bound == pytest.approx(1.0 - orders[0, 0][0], rel=0.01)
 
 
-def test_the_mean_slope_does_not_depend_on_the_samples():
+def test_the_mean_slope_does_not_depend_on_the_number_of_samples():
     walls = [wd.gratings.lamellar(2.0, 0.2, samples=n) for n in (10, 400)]
     assert walls[0].mean_slope == pytest.approx(walls[1].mean_slope) == pytest.approx(2.0 * 0.2 / 2.0)
     assert walls[1].rms_slope > 3.0 * walls[0].rms_slope
@@ -99,7 +99,7 @@ def test_usual_surfaces_cause_no_warning(heightfield):
 
 
 def test_the_error_bound_agrees_with_rigorous_solutions():
-    """The error bound is compared with rigorous solutions: boundary integrals for sines of a perfect mirror."""
+    """The rigorous solutions are boundary integrals for sine gratings of a perfect mirror, stored in ``RIGOROUS``."""
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"]["Sine, perfect mirror"]["first_order_and_efficiencies"])
     errors, bounds = [], []
@@ -130,7 +130,10 @@ def test_the_error_bound_agrees_with_rigorous_solutions():
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_closer_to_rigorous_solutions(case, make):
-    """The grooves are at most a quarter of a wavelength deep. Normalised energy halves the error bound."""
+    """For these stored solutions, normalised energy reduces the mean error of efficiencies by at least 25 %.
+
+    The error bound of normalised efficiencies is half of the other bound.
+    """
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
     errors, bounds = [], []

@@ -126,7 +126,7 @@ def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch)
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
         HeightField.load(tmp_path / "a.png", pitch_um=0.1)
-    # OpenImageIO prints unread errors at the end of the process, so the error is read here.
+    # OpenImageIO prints errors that nobody has read at the end of the process, so read the error here.
     monkeypatch.undo()
     oiio.geterror()
 
