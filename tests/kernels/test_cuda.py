@@ -47,8 +47,8 @@ KERNELS = {
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
-# Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain powers
-# (True) or amplitudes (False).
+# Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain
+# powers (True) or amplitudes (False).
 FORMS = [
     (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
     slow(24, "source", False), slow(24, "replicas", False),

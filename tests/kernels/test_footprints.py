@@ -71,8 +71,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In so small a picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits the
-    # accuracy of footprints.
+    # In so small a picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits
+    # the accuracy of footprints.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)

@@ -289,7 +289,7 @@ def test_rasterization_writes_only_the_cells_of_refined_pixels():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
-    # A mask with one bit per pixel, in words of 64 bits, marks the refined pixels. Those of this test are at the ends of
+    # A mask with one bit per pixel, in words of 64 bits, marks the refined pixels. In this test they are at the ends of
     # words and of picture rows.
     pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
     cells = pixel_filter.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))

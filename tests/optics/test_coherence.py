@@ -144,8 +144,8 @@ def test_the_covariance_of_a_source_is_its_projected_spread(theta):
 def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
     """Each order shows an image of the source: the power is proportional to the radiance of one point of the source.
 
-    The points (a, b) lie on a plane tangent to the sky, in units of the spread. Their radiance is exp(−(a² + b²)/2). The
-    proportionality is exact in the limit of a small source.
+    The points (a, b) lie on a plane tangent to the sky, in units of the spread. Their radiance is exp(−(a² + b²)/2).
+    The proportionality is exact in the limit of a small source.
     """
     to_light, wavelength = inclined(theta), 0.5
     first, second = tangent_frame(to_light)

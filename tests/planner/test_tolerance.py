@@ -1,4 +1,7 @@
-"""Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and calls that failed once."""
+"""Errors on directions that the plan has not used are within the tolerance.
+
+The tested calls are some of those of the benchmark ``tolerance_sweep``, and calls that exceeded the tolerance once.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Seed and indices of the tested calls, whose references are cheap. ``tolerance_sweep`` also has large calls.
+# Seed and indices of the tested calls. Large calls, whose references are expensive, are tested by ``tolerance_sweep``.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -22,7 +25,10 @@ def scan_or_none() -> wd.HeightField | None:
 
 
 def check(case: Configuration, count: int = 400) -> None:
-    """Compare a call with the reference on some directions; in large calls, on directions that the plan did not use."""
+    """Check that the error of a call is within its tolerance on ``count`` of its directions.
+
+    In large calls the plan has used none of these directions.
+    """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
     # The chosen directions are sorted by brightness, the brightest first.
@@ -45,9 +51,9 @@ def test_tolerance_is_met(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
 
 
-# The two cases cover both diagonals and both tolerances.
+# The ridges of the surface are along one diagonal or, mirrored, along the other.
 @pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
-def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
+def test_a_plan_for_a_grid_of_directions_does_not_use_only_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
     heightfield = diagonal(rng, wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4))
     if mirrored:
@@ -116,7 +122,7 @@ def test_a_configuration_follows_from_its_index_and_seed():
     assert str(configuration(33)) != str(configuration(33, seed=1))
 
 
-def test_the_figure_includes_errors_of_one_per_cent_of_the_directions_and_of_the_bright_ones(rng):
+def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright_directions(rng):
     exact = rng.uniform(0.5, 1.0, (5000, 3)) * np.where(np.arange(5000) < 500, 1.0, 1e-5)[:, None]
     wrong = np.array(exact)
     wrong[4900:] += 1e-4

@@ -167,7 +167,10 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 
 
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
-    """The maximum over wavelengths and the lowest floor select the sets. The minimum would select others."""
+    """The trial draws its sets of directions by the maximum of each spectrum and by the lowest floor.
+
+    Minima of the spectra, or other floors, would select other directions.
+    """
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
     wavelengths = np.array([400.0, 700.0])

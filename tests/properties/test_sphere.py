@@ -37,7 +37,7 @@ def sphere():
 
 
 def pairs():
-    """Return all pairs of the unit vectors, including opposite, mirrored and equal ones."""
+    """Return all pairs of the unit vectors of ``sphere``. Pairs of opposite and of mirrored vectors are added."""
     one = sphere()
     lights, views = (np.array(each) for each in zip(*itertools.product(one, one), strict=True))
     return np.concatenate([lights, one, one]), np.concatenate([views, -one, one * [-1.0, -1.0, 1.0]])
@@ -99,7 +99,10 @@ def test_colours(rough, name, method):
     + [(name, "auto") for name in COHERENCES],
 )
 def test_a_deep_surface(name, method):
-    """With a height range of 5 µm, Taylor series are computed only on request, and float32 overflows."""
+    """At a height range of 5 µm, float32 overflows in Taylor series, which calls use only if ``method`` selects them.
+
+    Values must be finite nevertheless.
+    """
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())
     rho = best_effort(

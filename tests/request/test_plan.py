@@ -26,7 +26,7 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """Return a small patch with structure in both directions, fine enough for the whole hemisphere."""
+    """Return a small patch with structure along both axes, whose pitch suffices for the whole hemisphere."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
@@ -38,7 +38,7 @@ def deep(height_um: float) -> wd.HeightField:
 
 
 def test_ranges(rough, rng):
-    # A plan for the direct sum has the same ranges as others, and needs no search.
+    # Plans for the direct sum have the same ranges as other plans, and are made quickly, because they need no search.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -89,7 +89,7 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors may be smaller at the larger tolerance, if both plans are as small as possible.
+        # Measured errors are not compared, because they may be smaller at the larger tolerance.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -106,7 +106,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """The predicted error is at most ten times the measured error, also on directions that were not planned for."""
+    """A search finds a plan that meets the tolerance, also on directions that the search has not tried.
+
+    The error that the plan predicts is at most ten times the measured error.
+    """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
@@ -207,7 +210,7 @@ def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
-    # The reference for five terms is the same series in float64, over all coefficients of the patch.
+    # The expected value is the sum of the five terms in float64, over all coefficients of the patch.
     block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
     expansion = EXPANSIONS[plan.method]
     series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)
@@ -296,8 +299,11 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 
 
 @pytest.mark.filterwarnings("ignore:scalar diffraction")
-def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """With the most terms, amplitudes have an error of 3e-3, which is 1000 times larger for weak orders."""
+def test_a_height_range_that_the_longest_series_cannot_represent_is_refused():
+    """At a height range of 6.9 µm, the longest series has an error of 3e-3 in the amplitudes.
+
+    Relative to the amplitudes of weak orders, this error is up to 1000 times larger.
+    """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)
@@ -366,7 +372,7 @@ def test_windows_too_long_for_a_colour_are_refused(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """A field of one row has no orders outside of the plane of incidence, and no aliasing, for any pitch along y."""
+    """Whatever its pitch along y, a field of one row has no orders outside of the plane y = 0, and no aliasing."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])

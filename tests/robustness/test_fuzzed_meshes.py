@@ -20,7 +20,7 @@ MODELS = os.environ.get("WARPDIFF_MODELS")
 
 
 def render(path, **options):
-    """Render a small picture; return an empty text, or the message of a clear error."""
+    """Render a small picture of a mesh file. Return the error message if the file is refused, or an empty text."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Ignore the package's own warnings, such as one about a missing texture.

@@ -66,7 +66,7 @@ def test_default_tube():
 @pytest.mark.parametrize(
     ("mesh", "axis"), [(meshes.tube(segments_along=48, segments_around=24), 0), (meshes.disc(segments=48), 1)]
 )
-def test_the_seam_is_invisible(mesh, axis):
+def test_vertices_and_frames_are_equal_on_both_sides_of_the_texture_seam(mesh, axis):
     surface = prepare_surface(mesh)
     first, last = (np.flatnonzero(surface.uvs[:, axis] == end) for end in (0.0, 1.0))
     assert len(first) == len(last) > 2

@@ -102,7 +102,7 @@ RANDOM = {
 
 
 @pytest.mark.parametrize("name", RANDOM)
-def test_seeds_repeat_and_differ(name: str) -> None:
+def test_equal_seeds_give_equal_heights_and_other_seeds_do_not(name: str) -> None:
     make = RANDOM[name]
     np.testing.assert_array_equal(make(1).heights_um, make(1).heights_um)
     assert not np.array_equal(make(1).heights_um, make(2).heights_um)
