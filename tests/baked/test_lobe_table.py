@@ -185,7 +185,7 @@ def test_files_restore_all_fields(name, request, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["lobes", "spectrum"])
-def test_other_files_are_refused(name, request, tmp_path):
+def test_files_without_baked_lobes_are_refused(name, request, tmp_path):
     baked = request.getfixturevalue(name)
     whole = baked.save(tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)

@@ -68,8 +68,8 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The coefficient of the zeroth order is 1 at κ = 0. A fitted basis of powers has a larger error there, because its
-    # errors are weighted relative to κ² (``_SMALL_KAPPA`` in coefficient_basis.py).
+    # The coefficient of the zeroth order is 1 at κ = 0. There a fitted basis of powers may have a larger error, because
+    # its fit weights errors by about 1/κ² (``_SMALL_KAPPA`` in coefficient_basis.py).
     largest = np.abs(exact).max(axis=0)
     assert np.abs(values - exact).max() < (4e-6 if method == "low-rank" and adds_powers else 1e-6)
     assert np.percentile(np.abs(values - exact).max(axis=0) / largest, 99.0) < 2e-5
@@ -109,7 +109,8 @@ def test_the_fitted_basis_is_the_smallest():
         for tolerance in (1e-2, 1e-4):
             argument = 2.0 * math.pi * RANGES[0][1] * series.offset_and_scale(heightfield)[1]
             assert low_rank.terms_within(tolerance) < power.terms_within(tolerance)
-            # Each term of a series of amplitudes requires two table rows, each term of a series of powers one.
+            # A term of a series of amplitudes has two numbers per coefficient (real and imaginary part). A term of a
+            # series of powers has one number.
             assert power.terms_within(tolerance) < 2 * series.term_count(argument, tolerance)
 
 

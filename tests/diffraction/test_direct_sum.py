@@ -36,7 +36,7 @@ def small(rng):
     return wd.HeightField(rng.uniform(0.0, 0.25, (12, 10)), (0.1, 0.11))
 
 
-def test_averaged_is_the_mean_over_all_window_positions(small, rng):
+def test_the_averaged_power_is_the_mean_over_all_window_positions(small, rng):
     sigma = 0.6
     lights, views = hemisphere(rng, 4), hemisphere(rng, 4)
     for scattering_vector in -(lights + views):
@@ -54,7 +54,7 @@ def test_averaged_is_the_mean_over_all_window_positions(small, rng):
 
 
 @pytest.mark.parametrize("centre", [None, (0.0, 0.0), (0.337, -0.82)])
-def test_centred_is_one_window(small, rng, centre):
+def test_the_centred_power_is_that_of_one_window(small, rng, centre):
     sigma = 0.6
     place = (6 * 0.1, 5 * 0.11) if centre is None else centre
     lights, views = hemisphere(rng, 6), hemisphere(rng, 6)
@@ -132,19 +132,19 @@ def row():
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_the_scan(scan_crops, coherence, method, device):
+def test_kernel_equals_direct_sum_on_the_scan(scan_crops, coherence, method, device):
     heightfield, count = (scan_crops[0], 64) if coherence.sigma_um else (scan_crops[1], 32)
     assert agreement(heightfield, coherence, count, method, device) <= 1.0
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_fingers(fingers, coherence, method, device):
+def test_kernel_equals_direct_sum_on_fingers(fingers, coherence, method, device):
     heightfield = fingers[0 if coherence.sigma_um else 1]
     assert agreement(heightfield, coherence, 24, method, device) <= 1.0
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_one_row(row, coherence, method, device):
+def test_kernel_equals_direct_sum_on_one_row(row, coherence, method, device):
     assert row.shape[0] == 1
     assert agreement(row, coherence, 64, method, device, in_plane=True) <= 1.0
 
@@ -161,7 +161,7 @@ def test_neighbourhoods_larger_than_the_spectrum_of_the_patch_are_accurate(kind,
     np.testing.assert_allclose(result, exact, rtol=1e-3, atol=1e-4 * np.percentile(exact, 99.0))
 
 
-def test_kernel_equals_direct_for_moved_windows(rng):
+def test_kernel_equals_direct_sum_for_moved_windows(rng):
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=5)
     lights, views = hemisphere(rng, 12), hemisphere(rng, 12)
     for centre in ((0.0, 0.0), (1.7, 4.2)):
@@ -183,7 +183,7 @@ COLOURED = {
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
-def test_colour_within_its_tolerance(kind, rng):
+def test_colours_meet_the_tolerance(kind, rng):
     """The 99th percentile of the errors over the directions of a call must be within the tolerance."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)

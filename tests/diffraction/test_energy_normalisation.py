@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """Pictures, whose factors kernels apply, equal reflectances, whose factors NumPy applies."""
+    """Kernels apply the energy factors in pictures, and NumPy in ``reflectance``. Both must give the same colour."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -92,7 +92,7 @@ def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
 
 
 def test_energy_normalisation_hardly_changes_gentle_surfaces():
-    """Nearly all power of a gentle surface is in one order, which conserves energy alone, so all factors are near 1."""
+    """Nearly all power of a gentle surface is in one order, so energy is conserved without factors. They are near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)

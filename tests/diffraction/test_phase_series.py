@@ -78,9 +78,9 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
 
 
 def test_taylor_series_of_high_surfaces_fail_in_float32():
-    """Measure the least errors of Taylor series over the number of terms, at a height range of 1 µm.
+    """At a height range of 1 µm, no number of terms makes Taylor series accurate in float32.
 
-    The error of the uncentred series exceeds 1, and that of the centred series 0.01.
+    The least error of the uncentred series exceeds 1, and that of the centred series 0.01.
     """
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0
@@ -89,7 +89,7 @@ def test_taylor_series_of_high_surfaces_fail_in_float32():
 
 
 @pytest.mark.parametrize("height", HEIGHTS_UM)
-def test_automatic_choice_over_height_ranges(surfaces, height):
+def test_automatic_plans_meet_the_tolerance_for_all_height_ranges(surfaces, height):
     surface = surfaces[height]
     for tolerance in (1e-2, 1e-3):
         rho = wd.spectral_reflectance(*surface.arguments, coherence=WINDOW, tolerance=tolerance)

@@ -52,11 +52,11 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
-def test_closed_forms(name, angle):
-    """Expected efficiencies are geometry factor times power of the order.
+def test_order_efficiencies_equal_closed_forms(name, angle):
+    """The expected efficiency of an order is its geometry factor times its power.
 
-    The grating equation gives the direction of the order, κ and the factor. The profile's Fourier transform at κ gives
-    the power.
+    The grating equation gives the direction of the order and κ, from which the geometry factor follows. The profile's
+    Fourier transform at κ gives the power.
     """
     heightfield, closed, error = PROFILES[name]
     result = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
@@ -90,7 +90,7 @@ def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
     assert result[0, -2][0] > 0.9
 
 
-def test_two_dimensions_by_explicit_sums(rng):
+def test_orders_of_a_two_dimensional_patch_equal_explicit_sums(rng):
     heightfield = wd.HeightField(rng.uniform(0.0, 0.5, (12, 18)), (0.11, 0.08))
     light = hemisphere(rng, 1, 0.5)[0]
     result = wd.order_efficiencies(heightfield, light, [500.0])
@@ -162,7 +162,7 @@ def test_orders_beyond_the_samples_are_reported():
      ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
      ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm")],
 )  # fmt: skip
-def test_bad_input(arguments, error, message):
+def test_invalid_arguments_are_refused(arguments, error, message):
     legal = {"heightfield": wd.gratings.sinusoidal(PERIOD, 0.1), "to_light": (0, 0, 1), "wavelengths_nm": 500.0}
     with pytest.raises(error, match=message):
         wd.order_efficiencies(**legal | arguments)

@@ -32,7 +32,7 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
     assert not colours[3].any()
     illuminated = np.arange(5) != 3
     assert relative_errors(colours[illuminated], exact[illuminated]).max() < 1e-3
-    # Directions below the horizon are not computed, so progress has four steps for five directions.
+    # One of the five directions is below the horizon and is not computed, so progress has four steps.
     np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
 
 

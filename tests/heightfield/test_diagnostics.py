@@ -18,7 +18,7 @@ RIGOROUS = Path(__file__).resolve().parents[2] / "bench" / "suite" / "rigorous.j
 SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
 
 
-def test_summary_reads_well() -> None:
+def test_a_summary_states_size_pitch_heights_periods_and_limits() -> None:
     summary = wd.gratings.sinusoidal(1.6, 0.2, samples=8).summary()
     assert summary.max_uv == pytest.approx(0.38 / 0.4)
     text = str(summary)
@@ -130,9 +130,9 @@ def test_the_error_bound_agrees_with_rigorous_solutions():
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_closer_to_rigorous_solutions(case, make):
-    """For these stored solutions, normalised energy reduces the mean error of efficiencies by at least 25 %.
+    """For the stored gratings, normalised energy reduces the mean error of order efficiencies by at least 25 %.
 
-    The error bound of normalised efficiencies is half of the other bound.
+    Normalised efficiencies have half the error bound of efficiencies without normalisation.
     """
     stored = json.loads(RIGOROUS.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])

@@ -131,7 +131,7 @@ def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch)
     oiio.geterror()
 
 
-def test_heights_that_are_refused_name_the_file(tmp_path):
+def test_errors_about_heights_name_their_file(tmp_path):
     np.save(tmp_path / "a.npy", [[0.0, 1e20]])
     with pytest.raises(ValueError, match=r"path: .*a\.npy': heights_um must lie within"):
         HeightField.load(tmp_path / "a.npy", pitch_um=0.1)

@@ -27,7 +27,7 @@ SM = 90
 # The slow tests also compile the kernels that every picture launches for the Ampere architecture (sm_80).
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
-# Kernel modules that contain only functions are compiled together with the kernels that call them.
+# Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
 # Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}

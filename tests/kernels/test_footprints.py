@@ -100,7 +100,7 @@ def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
-    """The number of threads determines which look-ups share a SIMD batch, so a batch must not change its colours.
+    """The number of threads determines which look-ups share a SIMD batch. Colours must not depend on this.
 
     Compilers once rounded differently in incomplete batches, which changed the table row of 1 in 2000 look-ups.
     """
@@ -308,7 +308,7 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """Sample a Gaussian line in spline coefficients on azimuths, and blur it by the few taps of a footprint.
+    """A Gaussian line is stored as spline coefficients at azimuth samples. A weighted sum of a few of them blurs it.
 
     The result must equal a wider Gaussian. For the narrow lines of a source (``LINE_TAPS``), the spline itself has an
     error of 3 % of the peak.

@@ -150,7 +150,7 @@ def wall(corner_colours=None, size=100.0):
     return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
 
 
-def test_perspective_pixel_centres():
+def test_perspective_rays_pass_through_pixel_centres():
     surface = prepare_surface(wall())
     width, height = 8, 6
     got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
@@ -162,7 +162,7 @@ def test_perspective_pixel_centres():
     np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
 
 
-def test_orthographic_pixel_centres():
+def test_orthographic_rays_pass_through_pixel_centres():
     surface = prepare_surface(wall(size=4.0))
     got = cast(surface, View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=3.0, width=8, height=6), smooth=False)
     np.testing.assert_allclose(got["to_view"], np.tile([[0, 0, 1.0]], (48, 1)), atol=1e-7)

@@ -66,7 +66,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("geometric", [False, True])
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
-def test_uniform_quadratures(colour, geometric, illuminant, count):
+def test_uniform_quadratures_give_white_its_exact_colour(colour, geometric, illuminant, count):
     """Quadratures with equal steps in 1/λ, or in ln λ, give white the same colour as the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
@@ -130,7 +130,7 @@ def test_matrices_agree_with_colour_science(colour):
     np.testing.assert_allclose(colorimetry.xyz_to_rgb(colorimetry.rgb_to_xyz([[0.2, -0.1, 0.7]]))[0], [0.2, -0.1, 0.7])
 
 
-def test_transfer_function(colour):
+def test_srgb_transfer_functions_agree_with_colour_science(colour):
     linear = np.linspace(0.0, 1.0, 1001)
     np.testing.assert_allclose(colorimetry.srgb_encode(linear), colour.models.eotf_inverse_sRGB(linear), atol=1e-12)
     np.testing.assert_allclose(colorimetry.srgb_decode(colorimetry.srgb_encode(linear)), linear, atol=1e-7)

@@ -35,7 +35,7 @@ def line_grating(levels, period_um):
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
-def test_third_orders_of_a_shallow_sine(rng, tolerance):
+def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
     """The power of third orders is proportional to κ⁶, so it is tiny at grazing views, where κ is small.
 
     Such powers are inaccurate in float32.
@@ -52,7 +52,7 @@ def test_third_orders_of_a_shallow_sine(rng, tolerance):
 
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [(3.0, "HP2"), (5.5, "FL12")])
-def test_two_tall_levels_in_the_mirror_direction(rng, height_um, illuminant):
+def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
     """The spectra of tall steps oscillate quickly with the wavelength, and the illuminant consists of narrow lines."""
     heightfield = line_grating(np.repeat([height_um, 0.0], 32), 4.0)
     lights = hemisphere(rng, 40, 0.95)
@@ -60,7 +60,7 @@ def test_two_tall_levels_in_the_mirror_direction(rng, height_um, illuminant):
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
-def test_the_tail_of_the_lobe_around_a_mirrored_sun(rng, tolerance):
+def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tolerance):
     """All directions are 5 to 7 standard deviations of the source away from the mirror direction.
 
     Their reflectance is about a millionth of the peak or less.
@@ -73,7 +73,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun(rng, tolerance):
 
 
 @pytest.mark.parametrize("illuminant", ["FL11", "HP1"])
-def test_maps_under_illuminants_with_narrow_lines(illuminant):
+def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """Most directions of a map show diffraction orders at wavelengths between the narrow lines of the illuminant."""
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)

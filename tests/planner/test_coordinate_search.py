@@ -20,7 +20,7 @@ STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """Return a plan from which searches start. It has 32 terms, and other numbers that exceed the requirements."""
+    """Return a plan from which searches start: 32 terms, and more neighbours and wavelengths than are required."""
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 

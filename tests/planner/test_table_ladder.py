@@ -13,7 +13,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size, in rings per octave, that the search tries first at this tolerance.
+# Table size, in rings per octave, that the search tries first at ``TOLERANCE``.
 FIRST = 48
 
 

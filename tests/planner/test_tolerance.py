@@ -70,11 +70,11 @@ def test_a_plan_for_a_grid_of_directions_does_not_use_only_its_diagonal(mirrored
      (wd.gratings.lamellar(1.5, 0.1375), 70, 1e-2), (wd.gratings.blazed(0.562, 0.339), 70, 1e-3)],
     ids=["blazed, tight", "blazed, default", "lamellar, small", "blazed, short"],
 )  # fmt: skip
-def test_maps_of_one_dimensional_gratings(heightfield, size, tolerance):
+def test_maps_of_one_dimensional_gratings_meet_the_tolerance(heightfield, size, tolerance):
     check(call(heightfield, tolerance, to_light=UP, size=size))
 
 
-def test_grazing_directions():
+def test_grazing_directions_meet_the_tolerance():
     rng = np.random.default_rng(6)
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=1)
     z, phi = rng.uniform(0.02, 0.2, (2, 160)), rng.uniform(0.0, 2.0 * np.pi, (2, 160))
@@ -88,7 +88,7 @@ def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """A sine reflects no light between its orders. The few directions at an order must be accurate."""
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # Most directions are across the grating and dark; a few are near its first order.
+    # The grating diffracts into the xz-plane. Most views are in the yz-plane and dark; a few are near the first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]

@@ -37,7 +37,7 @@ def deep(height_um: float) -> wd.HeightField:
     return wd.HeightField.of_known_scale(heights, 0.05)
 
 
-def test_ranges(rough, rng):
+def test_a_plan_covers_the_range_of_its_directions(rough, rng):
     # Plans for the direct sum have the same ranges as other plans, and are made quickly, because they need no search.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)

@@ -1,4 +1,4 @@
-"""Long tests of a soak test: memory over thousands of calls, and processes that compile kernels simultaneously."""
+"""Tests that run only in a soak test: memory over thousands of calls, and processes that compile simultaneously."""
 
 import hashlib
 import os

@@ -62,7 +62,7 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
 @pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS is not set to a folder of mesh files")
 def test_additional_mesh_files_are_rendered_or_refused(tries, rng):
-    # Files that are not meshes must be refused with the same kind of message.
+    # Files that are not meshes must be refused by an error with their path, too.
     for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
         if "texture coordinates" in render(path):
             render(path, tangents=tangents_for(path, rng))

@@ -137,7 +137,7 @@ COMMANDS = {
     "render": ["disc", *FILES, "-o", "a.png"], "sequence": ["disc", *FILES, "-o", "frames"],
     "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES, "view": [], "demo": [],
 }  # fmt: skip
-# Replaced arguments of a command, for flags that exclude its default arguments or need others.
+# Arguments that replace ``FILES`` in a command, for flags that exclude ``--pitch-um`` or need another file.
 INSTEAD = {"extent_um": FILES[:2], "height_range_um": ["--heightfield", "integers.npy", *FILES[2:]]}
 # Functions whose options are flags of a single command. ``OWNERS`` have the options that all commands share.
 FUNCTIONS = {"sequence": wd.sequence, "brdf": wd.reflectance_map, "export-html": wd.export_html}

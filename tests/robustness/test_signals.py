@@ -140,7 +140,7 @@ def test_an_interruption_in_a_finalizer_ends_the_command_without_a_message(tmp_p
 
 
 def test_a_signal_after_the_command_has_ended_changes_nothing(tmp_path):
-    # Python deletes module globals after it has called the exit functions, so this finalizer sends the last signal.
+    # Python deletes module globals after it has called all exit functions, so this finalizer sends a very late signal.
     late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
     code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
     assert code == 0, error

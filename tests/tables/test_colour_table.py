@@ -326,7 +326,7 @@ def test_a_spectrum_has_no_table(fingers):
 
 
 @pytest.mark.parametrize("size", [(64, 1), (1, 64)])
-def test_one_dimensional_surfaces(size, rng):
+def test_tables_of_one_dimensional_surfaces_are_accurate(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)

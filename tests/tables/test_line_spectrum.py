@@ -164,7 +164,7 @@ def test_a_table_that_is_too_large_is_refused(rng):
 
 
 def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
-    """The azimuth samples of a table are periodic. Their numbers begin at 0°."""
+    """The azimuth samples of a table are periodic and begin at 0°, so look-ups near 0° use the last samples, too."""
     views = []
     for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):
         u, v = 0.6 * np.cos(np.radians(degrees)), 0.6 * np.sin(np.radians(degrees))

@@ -57,7 +57,7 @@ def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table equals that of baked lobes, which use a histogram of heights."""
+    """The zeroth order of a colour table equals that of baked lobes, which is computed from a histogram of heights."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
