@@ -118,7 +118,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
     result = gappy(total).levelled(order)
     np.testing.assert_array_equal(result.missing, GAP)
     np.testing.assert_allclose(result.heights_um[~GAP], 0.0, atol=1e-12)
-    # Levelling with gaps equals the least-squares solution over the existing samples, from a plain solver.
+    # Levelling with gaps equals the least-squares solution over the existing samples, computed by NumPy.
     rough = gappy(waves() + total)
     terms = [X**i * Y**j for i in range(order + 1) for j in range(order + 1 - i)]
     matrix = np.stack([term[~GAP] for term in terms], axis=1)

@@ -64,7 +64,7 @@ def test_standard_errors_are_valid_in_strong_noise(noise):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
         result = wd.HeightField(heights, PITCH).periods(1)[0]
         scores.append(abs(result.period_um - 1.37) / result.standard_error_um)
-    # In some fields the noise has a higher peak than the wave, and the fit finds that peak.
+    # In some of the 60 fields the spectrum of the noise has a higher peak than that of the wave, and the fit finds it.
     assert np.mean(np.array(scores) < 2.0) > 0.85
     assert 0.5 < np.median(scores) / 0.6745 < 1.5
 

@@ -286,8 +286,8 @@ def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, 
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
-    # Largest numbers of steps: 3 of 4 registers of terms, 8 factors of e up to a weight of 1e-5, and 12 quarter
-    # octaves.
+    # Largest numbers of steps by which a search may reduce a plan: 3 of its 4 registers of terms, 8 factors of e in the
+    # least weight (up to 1e-5), and 12 quarter octaves of each part of the bandwidth.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -33,9 +33,10 @@ def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, mon
     ids=["a window between samples", "a direct sum", "all windows"],
 )
 def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
-    """A pitch of 0.25 µm has the Nyquist frequency 2/µm, less the radius of the neighbourhood if it matters.
+    """|(u, v)| is limited to the highest supported frequency times the wavelength.
 
-    The radius matters for windows centred between samples. |(u, v)| is limited to this frequency times the wavelength.
+    This frequency is the Nyquist frequency, 2/µm for a pitch of 0.25 µm. For windows centred between samples, it is
+    lower by the radius of the neighbourhood.
     """
     heightfield = wd.HeightField([[0.0, 0.1, 0.2, 0.1]], pitch_um=0.25)
     monkeypatch.setattr(refusals.coefficient_table, "radius", lambda _plan: 0.5)

@@ -169,8 +169,8 @@ def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count,
 
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
-def test_a_source_that_grazes_beyond_reach_is_refused(count):
-    """At 0.2° above the horizon, a source may require too many wavelengths. The result is accurate or refused."""
+def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
+    """At 0.2° above the horizon, a source may require more wavelengths than a plan can have."""
     heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(count, 0.2)
     xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, coherence=source)

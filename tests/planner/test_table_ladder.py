@@ -108,7 +108,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs a table gets the largest one that it can afford.
+    # A call that needs a table gets the largest one whose cost is at most ``affordable``.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8

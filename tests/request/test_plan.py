@@ -421,7 +421,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
     assert len(builds) == 1
-    # A height field with equal heights in another object has its own tables.
+    # Another ``HeightField`` object with equal heights has its own tables.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
     assert len(builds) == 2
 
