@@ -254,7 +254,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
-        # Spline coefficients are sharper than the values of the spline, so a smaller blur is subtracted.
+        # Rows are spline coefficients, which are sharper than the values of the spline, so their blur is smaller.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for azimuth in range(azimuths):

@@ -92,7 +92,7 @@ def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
 
 
 def test_energy_normalisation_hardly_changes_gentle_surfaces():
-    """Nearly all power of a gentle surface is in one order, so energy is nearly conserved and all factors are near 1."""
+    """Nearly all power of a gentle surface is in one order, so energy is conserved if all factors are near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)

@@ -64,7 +64,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """Another call may add mip levels to a cached table. This must not change the results of a call without levels."""
+    """Another call may add mip levels to a cached table. A call that uses no levels must still get the same results."""
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
