@@ -73,7 +73,7 @@ def device(request) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """Store the report row of each test marked ``permanent``; the report of a soak test counts tests by row."""
+    """Store the argument of each mark ``permanent(row)``. The report of a soak test has one line of counts per row."""
     for item in items:
         if marker := item.get_closest_marker("permanent"):
             item.user_properties.append(("row", marker.args[0]))
@@ -104,7 +104,7 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture
 def tries(record_property):
-    """Return a counter of attempts for the report of a soak test. Tests without a counter have one attempt."""
+    """Return a counter of attempts for the report of a soak test. A test without this counter counts as one attempt."""
     counted = endurance.Tries()
     yield counted
     record_property("tried", counted.number)
@@ -143,7 +143,10 @@ def noise(shape: tuple[int, int], pitch=(0.1, 0.05)):
 
 
 def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return errors (n,) of colours (n, 3), relative to each exact colour, but at least to 0.001 of the P99 of Y."""
+    """Return the errors (n,) of colours (n, 3), each divided by the norm of the exact colour or by a larger floor.
+
+    The floor is 0.001 of the 99th percentile of the exact luminances Y.
+    """
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)
     return np.linalg.norm(found - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor)
 

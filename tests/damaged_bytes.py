@@ -169,7 +169,7 @@ def main(kind, seed, count, seconds, folder):
     sound = {path: path.read_bytes() for path in files()}
     warnings.simplefilter("ignore")
     for path in sound:
-        # Some mesh formats cannot store texture coordinates. The reader reports this after it has read the whole file.
+        # The reader refuses meshes in formats without texture coordinates, but only after it has read the whole file.
         with contextlib.suppress(ValueError):
             read(path)
     wrong, tried, end = [], 0, time.monotonic() + seconds

@@ -236,8 +236,8 @@ def strategy(option: Option) -> st.SearchStrategy:
     Raises:
         KeyError: ``OBJECTS`` has no strategy for an object of this name.
     """
-    # Fuzzed values of ``progress`` are never callable, because an error raised by the caller's callback is not a
-    # refusal.
+    # Fuzzed values of ``progress`` are never callable, because an error in the caller's own function would look like a
+    # refusal of an argument.
     anything = [value for value in _ANYTHING if option.name != "progress" or not callable(value)]
     return st.one_of(st.sampled_from(anything), *[_of_its_kind(option)] * 2)
 

@@ -15,7 +15,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Constants with the values used in ``kernels/native/footprint_lookup.h``.
+# Limits of the approximations of footprints. ``kernels/native/footprint_lookup.h`` has equal values and explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
@@ -25,7 +25,7 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Constants with the values used in ``kernels/native/ring_sum.h``.
+# Limits of sums over rings. ``kernels/native/ring_sum.h`` has equal values and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -81,7 +81,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """Return XYZ of a sum of rows at w, at least 0: the projected colour curves have shallow negative lobes."""
+        """Return XYZ of a sum of table rows at w. Slightly negative results, which splines can have, become 0."""
         at_w = w_basis_at(table, w)
         result = wp.vec3f()
         for c in range(3):
@@ -94,7 +94,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def zeroth_order(
         table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, covariance: wp.mat22f, source2: wp.float32
     ) -> wp.vec3f:
-        """Return XYZ of the zeroth order over a covariance of (u, v), as a sum of Gaussians over wavelengths."""
+        """Return the mean XYZ of the zeroth order over a Gaussian of (u, v): a sum of one Gaussian per wavelength."""
         result = wp.vec3f()
         entries = table.zeroth_order.shape[0]
         if entries == 0:
@@ -147,14 +147,15 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def sum_of_azimuths(
         table: Colours, taps: FootprintTaps, ring: wp.int32, turns: wp.float32, angle2: wp.float32, level_of: wp.float32
     ) -> row_t:
-        """Return the weighted mean of one ring's rows around an azimuth, from the mip level whose blur is at most
-        ``level_of``.
+        """Return the mean of one ring's rows over a Gaussian of azimuths with the variance ``angle2``.
+
+        The rows are those of the last mip level whose blur has at most the variance ``level_of``.
         """
         octave = ring // table.rings_per_octave
         line2 = wp.float32(0.0)
         if wp.static(source):
             line2 = table.line_blurs2[octave]
-        # Each mip level is blurred twice as much as the level before it.
+        # The standard deviation of the blur doubles from each mip level to the next.
         first = table.blurs[1, octave]
         level = wp.int32(wp.floor(0.5 * wp.log2(wp.max(level_of - line2, 1.0e-30) / (first * first)))) + 1
         level = wp.clamp(level, 0, table.azimuths.shape[0] - 1)
@@ -180,7 +181,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
         """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
-        # Standard deviations of wide footprints are limited, because the approximation in ln |(u, v)| fails for them.
+        # Wide footprints are not Gaussian in ln |(u, v)| and azimuth, so their standard deviations are limited.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share
@@ -229,8 +230,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
             if tabulated:
                 weight = taps.weights[step, fraction, ring - first]
-            # A straight footprint has the same width at a larger radius, and therefore spans a smaller range of
-            # azimuths.
+            # A footprint of constant width spans fewer azimuths at a larger radius.
             nearer = wp.exp(-(wp.float32(ring) - place) / table.rings_per_log + 0.5 * ratio2)
             turns = turns_of(u, v) + turn_per_ring * table.rings_per_log * (1.0 - nearer) / (2.0 * wp.PI)
             row_sum += weight * sum_of_azimuths(table, taps, ring, turns, aside2 * nearer * nearer, aside2)
@@ -244,14 +244,17 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:  # fmt: skip
-        """Return the Gaussian-weighted sum of a ring's rows; the Gaussian is narrowed by the rows' own blur."""
+        """Return the sum of a ring's rows, weighted by a Gaussian of (u, v) less the blur that the rows already have.
+
+        The last element of the result is the sum of the weights.
+        """
         octave = ring // table.rings_per_octave
         radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
         cutoff = wp.where(radius < wp.length(from_middle), INWARDS, OUTWARDS)
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
-        # Spline coefficients are sharper than the values of the spline, so a smaller blur is subtracted.
+        # Rows are spline coefficients, which are sharper than the values of the spline, so their blur is smaller.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for azimuth in range(azimuths):
@@ -274,7 +277,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def over_rings(table: Colours, u: wp.float32, v: wp.float32, w: wp.float32, footprint: wp.mat22f) -> wp.vec3f:
-        """Return the mean colour over a wide Gaussian of (u, v), as a sum of rows weighted by its density."""
+        """Return the mean colour over a wide Gaussian of (u, v): a sum of table rows, weighted by its density."""
         middle = wp.vec2f(u, v)
         away = wp.length(middle)
         covariance = footprint + 0.25 / (table.rings_per_log * table.rings_per_log) * wp.outer(middle, middle)
@@ -326,7 +329,11 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether a source is narrower than the blur of the rows, or too wide for a range of azimuths."""
+        """Return whether the table cannot serve a direction: its footprint is narrower than the blur of the rows.
+
+        Directions within the inner radius of the table are not served either. ``within`` is the share of the variance
+        that remains after the footprint is split into ``parts``.
+        """
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
         over2 = polar[1, 1] + 0.25 / (table.rings_per_log * table.rings_per_log)
@@ -350,9 +357,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of ``run`` directions per thread to ``xyz_out``. An empty ``footprints`` array means no
-        footprints.
-        """
+        """Add the XYZ of ``run`` directions per thread to ``xyz_out``. Without footprints their array is empty."""
         begin = (first + wp.tid()) * run
         for i in range(begin, wp.min(begin + run, gains.shape[0])):
             u = wp.float32(scattering_vectors[i][0])
@@ -382,8 +387,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
                 xyz_out[i] += gains[i] * over_rings(table, u, v, w, covariance)
                 continue
             polar = to_polar(table, u, v, covariance)
-            # A footprint that spans a wide range of azimuths is split into parts along the azimuth, which are nearly
-            # straight.
+            # A footprint that spans a wide range of azimuths is split along the azimuth into narrow parts, whose
+            # curvature is negligible.
             whole = wp.sqrt(polar[0, 0])
             count = wp.clamp(wp.int32(wp.ceil(whole / MOST_TURN)), 1, wp.static(colour_lookup.MOST_PARTS))
             uv2 = wp.max(uv2, table.least_uv * table.least_uv)

@@ -22,8 +22,7 @@ SOURCES = ("warpdiff", "kernels", "tests", "bench")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 # First lines of a test script. Python runs without the site module, so that neither an editable install nor the
-# checkout
-# can supply files that the installed package lacks. Dependencies come last on the path.
+# checkout can supply files that the installed package lacks. Dependencies come last on the path.
 PRELUDE = """
 import sys
 target, source, dependencies = sys.argv[1], sys.argv[2], sys.argv[3].split("|")
@@ -127,7 +126,7 @@ def check_wheel(wheel: Path) -> None:
     assert "warpdiff = warpdiff.__main__:main" in scripts
 
 
-def test_sdist_and_its_wheel(tree, tmp_path):
+def test_the_sdist_and_the_wheel_built_from_it_are_complete(tree, tmp_path):
     sdist = build("sdist", tree, tmp_path / "dist")
     shutil.unpack_archive(sdist, tmp_path)
     unpacked = tmp_path / f"warpdiff-{PROJECT['version']}"
@@ -143,7 +142,7 @@ def test_sdist_and_its_wheel(tree, tmp_path):
     check_installed(target, target, tmp_path / "outside")
 
 
-def test_editable(tree, tmp_path):
+def test_the_editable_install_uses_the_source_tree(tree, tmp_path):
     # The editable wheel has no install scripts, so unpacking it installs it.
     with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
         wheel.extractall(tmp_path / "target")
@@ -183,7 +182,7 @@ def test_kernels_are_never_imported_by_their_folder():
             assert "kernels" not in imported(path), f"{path}: kernels/ is shipped as warpdiff.kernels"
 
 
-def test_a_plain_import_is_light():
+def test_importing_the_package_loads_no_slow_packages():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
     # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.

@@ -28,7 +28,10 @@ def spectrum(fingers):
 
 
 def test_colours_are_within_the_requested_difference(fingers, lobes):
-    """Half of the compared directions are drawn in proportion to their luminance. Baking has used none of them."""
+    """Baked colours are compared with the float64 reference in 300 directions, none of which baking has used.
+
+    Half of these directions are drawn in proportion to their luminance.
+    """
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
     luminance = lobes.reflectance(lights, views)[:, 1].astype(float)
@@ -57,7 +60,7 @@ def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path)
 
 
 def test_a_material_is_part_of_the_colours_and_of_the_file(fingers, tmp_path):
-    """The float64 reference computes reflectances from characteristic matrices."""
+    """Baked colours of gold equal the float64 reference, which computes reflectances from characteristic matrices."""
     gold = wd.Material.metal("Au")
     baked = wd.bake(fingers, coherence=WIDE, material=gold, delta_e=3.0)
     rng = np.random.default_rng(92)
@@ -144,13 +147,18 @@ def test_a_baked_spectrum_equals_the_reflectance_of_directions(fingers, spectrum
     power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
     gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
     relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
-    # Baking averages the spectrum over cells a quarter of a lobe's standard deviation wide, which blurs it slightly.
+    # Baking averages the spectrum over cells as wide as a quarter of a lobe's standard deviation. This blurs the
+    # spectrum, so errors of up to 5 % are allowed.
     assert np.percentile(relative, 90.0) < 0.05
     assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
 
 
 def test_the_powers_of_a_sine_add_up_to_squared_bessel_functions():
-    """The sum of 4πσ² · power over all cells equals the sum of J_m² over all orders m except the zeroth."""
+    """Order m of a sine grating has the power J_m². The baked spectrum must contain these powers.
+
+    The sum over all cells of the spectrum is multiplied by 4πσ², because the integral of a lobe is 1/(4πσ²). The baked
+    cells exclude the zeroth order.
+    """
     sine = wd.gratings.sinusoidal(2.0, 0.2)
     baked = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
     kappas = np.linspace(baked.least_kappa, baked.largest_kappa, len(baked.functions))
@@ -177,7 +185,7 @@ def test_files_restore_all_fields(name, request, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["lobes", "spectrum"])
-def test_other_files_are_refused(name, request, tmp_path):
+def test_files_without_baked_lobes_are_refused(name, request, tmp_path):
     baked = request.getfixturevalue(name)
     whole = baked.save(tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)
@@ -214,7 +222,7 @@ def test_files_with_other_arrays_are_refused(lobes, tmp_path):
             wd.BakedLobes.load(path)
 
 
-def test_quantisation_errors_are_half_a_step_of_the_largest_value():
+def test_quantisation_errors_are_at_most_half_a_step():
     rng = np.random.default_rng(2)
     values = (rng.normal(size=(500, 3, 4)) * 10.0 ** rng.uniform(-7.0, 0.0, (500, 1, 1))).astype(np.float32)
     largest = np.abs(values).max(axis=2, keepdims=True)
@@ -223,8 +231,11 @@ def test_quantisation_errors_are_half_a_step_of_the_largest_value():
         assert np.all(np.abs(decoded - values) <= 0.5 / np.iinfo(dtype).max * 1.1 * largest)
 
 
-def test_a_polar_grid_represents_lobes_of_its_design_width():
-    """The test lobes have the design width in azimuth. Radially, colours widen lobes to a tenth of |(u, v)|."""
+def test_a_polar_grid_interpolates_lobes_of_its_design_width():
+    """The test lobes have the design width along the azimuth, and a tenth of |(u, v)| as their radial width.
+
+    In tables of colours, the range of wavelengths widens lobes radially to at least this width.
+    """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)
     angles, radii = np.array([0.3, 2.0, 4.4]), np.array([1.1, 0.5, 1.7])

@@ -32,7 +32,7 @@ def module_of(tmp_path, monkeypatch):
     return load
 
 
-def test_the_page_about_lights(module_of, fingers):
+def test_the_light_of_the_page_about_lights_works(module_of, fingers):
     """The spotlight illuminates the body if its axis points at the body, and not if it points away."""
     page = module_of("add_a_light")
     body = wd.meshes.tube(segments_along=12, segments_around=12)
@@ -58,14 +58,14 @@ def test_the_page_about_readers(module_of, tmp_path, monkeypatch):
     assert scan.pitch_um == (0.25, 0.25)
 
 
-def test_the_page_about_options(module_of, capsys):
+def test_the_option_of_the_page_about_options_works(module_of, capsys):
     page = module_of("add_an_option")
     assert capsys.readouterr().out == "Strength of the sparkle, relative to the surface. at least 0 and at most 2 0.5\n"
     with pytest.raises(ValueError, match=r"^sparkle must be a finite number, at least 0 and at most 2, got 3\.0$"):
         page.ProbeSettings(sparkle=3.0)
 
 
-def test_the_page_about_expansions(module_of, monkeypatch):
+def test_the_expansion_of_the_page_about_expansions_works(module_of, monkeypatch):
     monkeypatch.setattr("warpdiff.diffraction.phase_series.EXPANSIONS", dict(EXPANSIONS))
     page = module_of("add_an_expansion")
     expansion = page.EXPANSIONS["probe"]

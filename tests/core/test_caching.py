@@ -1,4 +1,4 @@
-"""LRU cache: the least recently used value is removed first, and concurrent threads get the first value made."""
+"""LRU cache: the least recently used value is removed first, and concurrent threads get the same value for one key."""
 
 import threading
 
@@ -51,7 +51,7 @@ class Frozen:
         return self.number == other.number
 
 
-def test_threads_that_make_the_same_get_the_first_ones():
+def test_threads_that_make_values_for_the_same_key_all_get_the_first_one():
     cache, both = LruCache(4), threading.Barrier(2)
     results = []
 

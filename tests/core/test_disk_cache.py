@@ -53,7 +53,7 @@ def test_other_keys_and_heights_have_their_own_files(folder, key, heights):
 
 
 @pytest.mark.usefixtures("folder")
-def test_arrays_of_other_code_are_not_read(tmp_path, monkeypatch):
+def test_files_written_by_other_code_are_not_read(tmp_path, monkeypatch):
     """Cache files of another release, or written before a change of the code, must not be read."""
     digests = []
     for text in ("ORDER = 1", "ORDER = 2", "ORDER = 2"):
@@ -73,14 +73,14 @@ def archive(**arrays):
 
 
 def damaged(whole, rng):
-    """Yield damaged versions of a file: other contents, truncated files and changed bytes."""
+    """Yield damaged versions of a cache file: other contents, truncated files and files with changed bytes."""
     sound = archive(rows=np.ones((2, 3), np.float32), step=0.25)
     yield from (b"", b"PK\x03\x04 no archive", bytes(4096), sound)
     yield archive(rows=np.ones((2, 3), np.float32))
     yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
     yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
     for at in range(8, 40, 2):
-        # The changed bytes contain the version of the archive, its encryption flag and its compression.
+        # In these bytes, the headers of a ZIP archive state its version, encryption and compression.
         for header in (b"PK\x03\x04", b"PK\x01\x02"):
             for start in (0, whole.index(b"PK")):
                 content = bytearray(whole[start:])

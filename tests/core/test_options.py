@@ -25,7 +25,7 @@ Spelling = Literal["normalised", "normalized", "plain"]
 
 @dataclass(frozen=True, kw_only=True)
 class Base(Checked):
-    """Options shared by groups of options, as test data.
+    """Test class whose options the class ``Group`` inherits.
 
     Attributes:
         tolerance: Error that is accepted.
@@ -38,7 +38,7 @@ class Base(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(Base):
-    """Group with one option of each kind, as test data.
+    """Test class with one option of each type.
 
     Attributes:
         length_um: Length of the window
@@ -81,7 +81,7 @@ def function(self, first, second: Annotated[int, Unit("pixels")] = 2, *rest, thi
     """
 
 
-def test_annotations_of_fields():
+def test_options_are_described_by_the_annotations_of_fields():
     options = describe(Group)
     assert list(options)[:3] == ["tolerance", "kind", "length_um"]
     assert "derived" not in options
@@ -101,14 +101,14 @@ def test_annotations_of_fields():
     assert list(kinds.values()) == ["pair", "flag", "text", "object", "object", "object"]
 
 
-def test_inherited_options_have_the_last_meaning_and_no_american_spellings():
+def test_redefined_options_have_the_new_description_and_no_american_spellings():
     option = describe(Group)["kind"]
     assert option == Option("kind", "choice", "plain", "Meaning of the group.", choices=("normalised", "plain"))
     assert describe(Base)["kind"].help == "Meaning of the base."
     assert describe(Group)["tolerance"].range == "at least 1e-05 and at most 0.5"
 
 
-def test_arguments_of_functions():
+def test_options_are_described_by_the_arguments_of_functions():
     assert describe(function) == {
         "first": Option("first", "object", REQUIRED, "One."),
         "second": Option("second", "integer", 2, "Two: with a colon. And a paragraph.", unit="pixels"),
@@ -141,7 +141,7 @@ ACCEPTED = [
 
 
 @pytest.mark.parametrize(("name", "value", "result"), ACCEPTED)
-def test_values_become_those_of_the_type(name, value, result):
+def test_values_are_converted_to_the_type_of_the_option(name, value, result):
     made = getattr(Group(required=1, **{name: value}), name)
     assert made == result
     assert type(made) is type(result)
@@ -170,7 +170,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "value", "error", "message"), REFUSED)
-def test_other_values_are_refused_by_name(name, value, error, message):
+def test_invalid_values_are_refused_by_the_name_of_the_option(name, value, error, message):
     with pytest.raises(error) as refused:
         Group(required=1, **{name: value})
     assert str(refused.value) == f"{name} {message}"

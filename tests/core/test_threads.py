@@ -55,7 +55,7 @@ def test_after_an_error_no_further_items_are_processed(threads):
 
 
 def test_nested_loops_need_no_free_thread():
-    """All other threads of the pool may be waiting for the thread that starts the nested loop."""
+    """A nested loop must end even if all other threads of the pool wait for the thread that started it."""
     done = []
 
     def work(_):
@@ -69,7 +69,7 @@ def test_nested_loops_need_no_free_thread():
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_progress_is_reported_by_one_thread_at_a_time_which_may_start_work(threads):
+def test_progress_is_reported_by_one_thread_at_a_time_which_may_start_loops(threads):
     shares, nested = [], []
 
     def report(share):
@@ -164,7 +164,7 @@ def test_overlapping_contexts_of_two_threads_restore_the_number_of_threads():
     with single_threaded_blas():
         other.start()
         entered.wait(60.0)
-    # Another thread is still within its context, so linear algebra must stay on one thread.
+    # The other thread has not left its ``single_threaded_blas`` context, so linear algebra must still use one thread.
     assert set(blas_threads()) == {1}
     leave.set()
     other.join()
@@ -188,7 +188,7 @@ def taken_by_others(work):
     def of_others():
         return time.process_time() - time.thread_time()
 
-    # Threads of the linear-algebra library stay active for a short time after each call.
+    # Threads of the linear-algebra library stay active for a short time after a call, so wait until they are idle.
     while (before := of_others()) and (time.sleep(0.05) or of_others() - before > 1e-3):
         pass
     before, begin = of_others(), time.thread_time()
@@ -200,7 +200,7 @@ def taken_by_others(work):
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
-    """If the library's threads were active, a fork could wait forever, in the parent or in the child."""
+    """If threads of the linear-algebra library were active during a fork, parent or child could wait forever."""
     rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
     coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
     tube = wd.meshes.tube(segments_along=300, segments_around=300)

@@ -43,7 +43,7 @@ def published(rng, tmp_path, monkeypatch):
     folder = tmp_path / "server"
     folder.mkdir()
     samples = rng.integers(0, 256, (40, 40), dtype=np.uint8)
-    # As in the published file, all colour channels contain the heights, and alpha is opaque.
+    # The test image has the channels of the published file: all colour channels contain the heights, alpha is opaque.
     write_image(folder / "scan.png", np.dstack([samples] * 3 + [np.full_like(samples, 255)]))
     server = Server(folder)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))

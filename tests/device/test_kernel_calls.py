@@ -1,4 +1,4 @@
-"""Kernel calls on the CPU: every element passes through all kernels once, for any slices and threads."""
+"""Kernel calls on the CPU: every element passes through all kernels once, for any slice size and number of threads."""
 
 import gc
 import sys
@@ -16,7 +16,7 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
-# The compile options equal those of the package, so that Warp's headers are not precompiled again.
+# The kernels of these tests have the package's compile options. Other options would let Warp recompile its headers.
 wp.set_module_options(compile_options.options())
 
 
@@ -88,7 +88,7 @@ def gather_all(
         values_out[i] += wp.float64(factor) * values[i, 1] + place[1] + offset[0] + wp.float64(cells.across)
 
 
-def test_arguments_of_any_type_arrive():
+def test_kernels_receive_arguments_of_any_type():
     device = resolve_device("cpu")
     sums = wp.zeros(3, dtype=wp.float64, device=device)
     values = wp.array([[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]], dtype=wp.float64, device=device)

@@ -32,7 +32,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """Return the basis functions at κ, interpolated by the same cubic as in the kernels."""
+    """Return the basis functions at κ, interpolated by the cubic polynomial that the kernels use."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
@@ -46,7 +46,7 @@ def basis_at(coefficients, kappas):
 
 
 def transforms(heightfield, block, kappas):
-    """Return H_rs(−κ) of heights centred at zero, shape (κ, my, mx)."""
+    """Return H_rs(−κ) of heights centred at zero. The axes of the result are κ and the orders s and r of the block."""
     h = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     s, r = block.orders()
     return np.stack([np.fft.ifft2(np.exp(-2j * np.pi * k * h))[np.ix_(s, r)] for k in kappas])
@@ -68,7 +68,8 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The coefficient of the mirror direction is 1. A basis of powers loses two digits there (``_SMALL_KAPPA``).
+    # The coefficient of the zeroth order is 1 at κ = 0. A basis of powers is fitted to powers divided by about κ²
+    # (``_SMALL_KAPPA`` in coefficient_basis.py), which costs two digits there.
     largest = np.abs(exact).max(axis=0)
     assert np.abs(values - exact).max() < (4e-6 if method == "low-rank" and adds_powers else 1e-6)
     assert np.percentile(np.abs(values - exact).max(axis=0) / largest, 99.0) < 2e-5
@@ -77,7 +78,7 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
 @pytest.mark.parametrize("kappas", RANGES)
 @pytest.mark.parametrize("adds_powers", [True, False])
 @pytest.mark.parametrize("method", ["low-rank", "power"])
-def test_the_truncation_error_of_a_basis(method, adds_powers, kappas):
+def test_a_basis_with_the_reported_number_of_terms_meets_a_tolerance(method, adds_powers, kappas):
     if method == "power" and not adds_powers:
         pytest.skip("a series of powers has no amplitudes")
     heightfield = surface(0.6)
@@ -94,7 +95,7 @@ def test_the_truncation_error_of_a_basis(method, adds_powers, kappas):
             "yxpn,kn->kyxp", coefficients.rows[..., :terms].astype(float), basis_at(coefficients, at)[:, :terms]
         )
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
-        # The stated truncation error is a percentile at sampled κ. Errors between the samples are slightly larger.
+        # ``truncation_errors`` is a percentile over sampled κ. Errors between the samples are up to twice as large.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
         assert coefficients.truncation_errors[terms] <= tolerance < coefficients.truncation_errors[terms - 1]
 
@@ -108,13 +109,14 @@ def test_the_fitted_basis_is_the_smallest():
         for tolerance in (1e-2, 1e-4):
             argument = 2.0 * math.pi * RANGES[0][1] * series.offset_and_scale(heightfield)[1]
             assert low_rank.terms_within(tolerance) < power.terms_within(tolerance)
-            # A series of amplitudes needs two rows where a series of powers needs one.
+            # A term of a series of amplitudes has two numbers per coefficient (real and imaginary part). A term of a
+            # series of powers has one number.
             assert power.terms_within(tolerance) < 2 * series.term_count(argument, tolerance)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 12), (12, 1), (5, 7)])
 @pytest.mark.parametrize("method", coefficient_basis.METHODS)
-def test_flat_and_thin_fields(shape, method, rng):
+def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape, method, rng):
     for heights in (np.zeros(shape), np.full(shape, -3.0), rng.uniform(0.0, 0.3, shape)):
         heightfield = wd.HeightField(heights, 0.08)
         coefficients, block = build(heightfield, method, (0.5, 5.3), adds_powers=True)
@@ -123,12 +125,12 @@ def test_flat_and_thin_fields(shape, method, rng):
         )
         powers = values[..., 0] if values.shape[-1] == 1 else np.sum(values**2, axis=-1)
         exact = np.abs(transforms(heightfield, block, (0.5, 3.0, 5.3))) ** 2
-        # Taylor series of uncentred heights lose accuracy by cancellation: e⁵ times the float32 rounding error.
+        # In Taylor series of uncentred heights, cancellation multiplies the float32 rounding error by e⁵.
         np.testing.assert_allclose(powers, exact, atol=1e-5 if method == "taylor-uncentred" else 1e-6)
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """The fitted basis is shared by plans, so it must not depend on the neighbourhood of a plan."""
+    """Plans that differ only in the size of their neighbourhood share one fitted basis."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -147,7 +149,7 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders(taps, samples, rng):
-    """A Fourier transform at half orders, interpolated, equals the explicit sum at any frequency."""
+    """Fourier coefficients at multiples of half an order, interpolated, equal the explicit sum at any frequency."""
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)
@@ -167,7 +169,7 @@ def test_interpolation_between_orders(taps, samples, rng):
     assert np.abs(interpolated - exact).max() < {4: 1e-3, 6: 1e-5, 8: 1e-7}[taps]
 
 
-def test_interpolation_kernel_and_its_transform():
+def test_the_transform_of_the_interpolation_kernel_equals_a_numerical_integral():
     t = np.linspace(-4.0, 4.0, 20001)
     values = gridding_kernel.kernel(t, 8)
     assert values.max() == pytest.approx(1.0)

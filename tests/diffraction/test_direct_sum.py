@@ -13,7 +13,10 @@ WAVELENGTHS_UM = np.array([0.39, 0.46, 0.53, 0.61, 0.7, 0.77])
 
 
 def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
-    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² over the repeated patch within 8σ of ``centre``, (y, x) in µm."""
+    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² for a Gaussian window g at ``centre``, (y, x) in µm.
+
+    The sum covers all samples of the repeated patch within 8σ of the centre.
+    """
     u, v, w = scattering_vector
     (ny, nx), (dy, dx), (length_y, length_x) = heightfield.shape, heightfield.pitch_um, heightfield.size_um
     copies_y, copies_x = (int(np.ceil(8.0 * sigma_um / length)) + 1 for length in heightfield.size_um)
@@ -33,7 +36,7 @@ def small(rng):
     return wd.HeightField(rng.uniform(0.0, 0.25, (12, 10)), (0.1, 0.11))
 
 
-def test_averaged_is_the_mean_over_all_window_positions(small, rng):
+def test_the_averaged_power_is_the_mean_over_all_window_positions(small, rng):
     sigma = 0.6
     lights, views = hemisphere(rng, 4), hemisphere(rng, 4)
     for scattering_vector in -(lights + views):
@@ -51,7 +54,7 @@ def test_averaged_is_the_mean_over_all_window_positions(small, rng):
 
 
 @pytest.mark.parametrize("centre", [None, (0.0, 0.0), (0.337, -0.82)])
-def test_centred_is_one_window(small, rng, centre):
+def test_the_centred_power_is_that_of_one_window(small, rng, centre):
     sigma = 0.6
     place = (6 * 0.1, 5 * 0.11) if centre is None else centre
     lights, views = hemisphere(rng, 6), hemisphere(rng, 6)
@@ -80,7 +83,7 @@ PAIRS = [
 
 @functools.cache
 def exact_spectra(heightfield, coherence, count, *, in_plane=False):
-    """Return directions to light and viewer and the direct sum for them; cached, because all methods use them."""
+    """Return directions to light and viewer and their direct sums; cached, because tests of all methods use them."""
     rng = np.random.default_rng(20140)
     lights, views = hemisphere(rng, count), hemisphere(rng, count)
     # A quarter of the directions is near the mirror direction, where the reflectance is largest.
@@ -94,9 +97,10 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 
 
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
-    """Return the largest error of the kernel over random directions and wavelengths, in units of the allowed error."""
+    """Return the largest error of the kernel over random directions and wavelengths, divided by the allowed error."""
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
-    # A plan for few directions, here the ends of the range, uses upper bounds, which provide enough terms.
+    # The plan is made for the three directions with the largest |(u, v)|, the least |w| and the largest |w|. For so few
+    # directions it is an upper-bound plan, whose terms suffice for all directions of this test.
     uv, w = np.hypot(*(lights + views)[:, :2].T), (lights + views)[:, 2]
     ends = [uv.argmax(), w.argmin(), w.argmax()]
     options = {"coherence": coherence, "method": method}
@@ -111,13 +115,13 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return two crops of the scan: the larger for windows, the smaller for sources and replicas, which are slow."""
+    """Return two crops of the scan: a large one for windows, a small one for sources and replicas, which are slow."""
     return scan.cropped(12.5), scan.cropped(6.25)
 
 
 @pytest.fixture(scope="module")
 def fingers():
-    """Return two patches of fingers: the larger for windows, the smaller for sources and replicas."""
+    """Return two patches of fingers: a large one for windows, and a small one for sources and replicas."""
     return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (12.8, 6.4))
 
 
@@ -128,27 +132,27 @@ def row():
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_the_scan(scan_crops, coherence, method, device):
+def test_kernel_equals_direct_sum_on_the_scan(scan_crops, coherence, method, device):
     heightfield, count = (scan_crops[0], 64) if coherence.sigma_um else (scan_crops[1], 32)
     assert agreement(heightfield, coherence, count, method, device) <= 1.0
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_fingers(fingers, coherence, method, device):
+def test_kernel_equals_direct_sum_on_fingers(fingers, coherence, method, device):
     heightfield = fingers[0 if coherence.sigma_um else 1]
     assert agreement(heightfield, coherence, 24, method, device) <= 1.0
 
 
 @pytest.mark.parametrize(("coherence", "method"), PAIRS)
-def test_kernel_against_direct_on_one_row(row, coherence, method, device):
+def test_kernel_equals_direct_sum_on_one_row(row, coherence, method, device):
     assert row.shape[0] == 1
     assert agreement(row, coherence, 64, method, device, in_plane=True) <= 1.0
 
 
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 @pytest.mark.parametrize("sigma_um", [0.8, 3.0])
-def test_wide_neighbourhoods(kind, sigma_um, rng):
-    """The neighbourhood of a short window is larger than the patch's spectrum, so the look-up must be periodic."""
+def test_neighbourhoods_larger_than_the_spectrum_of_the_patch_are_accurate(kind, sigma_um, rng):
+    """A short window has more neighbours than the patch has coefficients, so look-ups must repeat the coefficients."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), (0.09, 0.07))
     lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
     options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
@@ -157,7 +161,7 @@ def test_wide_neighbourhoods(kind, sigma_um, rng):
     np.testing.assert_allclose(result, exact, rtol=1e-3, atol=1e-4 * np.percentile(exact, 99.0))
 
 
-def test_moved_window_through_the_kernel(rng):
+def test_kernel_equals_direct_sum_for_moved_windows(rng):
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=5)
     lights, views = hemisphere(rng, 12), hemisphere(rng, 12)
     for centre in ((0.0, 0.0), (1.7, 4.2)):
@@ -168,8 +172,8 @@ def test_moved_window_through_the_kernel(rng):
         np.testing.assert_allclose(result, exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
-# Coherence model, patch size in µm and number of directions. Direct sums over narrow orders require thousands of
-# wavelengths, especially for a source near the horizon.
+# Coherence model, patch size in µm and number of directions. Patches and numbers are small, because direct sums over
+# narrow orders require thousands of wavelengths, most of all for a source near the horizon.
 COLOURED = {
     "averaged": (wd.Coherence("averaged", 5.0), 6.4, 16),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
@@ -179,7 +183,7 @@ COLOURED = {
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
-def test_colour_within_its_tolerance(kind, rng):
+def test_colours_meet_the_tolerance(kind, rng):
     """The 99th percentile of the errors over the directions of a call must be within the tolerance."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)

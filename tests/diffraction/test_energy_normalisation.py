@@ -29,7 +29,7 @@ def seen_from(towards):
 
 @pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
 def test_powers_of_all_bins_add_up_to_one(bin_um):
-    """By Parseval's theorem all powers add up to 1. With a pitch of 0.1 µm the orders end at 5/µm."""
+    """By Parseval's theorem the powers of all orders add up to 1, also if neighbouring orders are summed in bins."""
     powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
@@ -47,7 +47,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
 
 
 def test_pictures_have_the_factors_of_single_directions(square):
-    """Kernels apply the factors to all lights of pictures, and NumPy applies them to arrays of directions."""
+    """Kernels apply the energy factors in pictures, and NumPy in ``reflectance``. Both must give the same colour."""
     heightfield, light, view = SURFACES["fingers"](), at(40.0, 30.0), at(25.0, 130.0)
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
@@ -81,7 +81,7 @@ def test_normalised_maps_are_reciprocal_and_report_the_normalisation():
     assert 0.0 == stam.plan.energy_spread < normalised.plan.energy_spread
 
 
-def test_a_single_wavelength_equals_the_same_one_among_others():
+def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
     heightfield, views = SURFACES["fingers"](), [at(10.0, 60.0), at(50.0, -30.0), at(45.0, 200.0)]
     options = {"coherence": WINDOW, "ior": math.inf, "energy": "normalised", "tolerance": 1e-3}
     wide = np.array([350.0, *np.arange(400.0, 701.0, 25.0), 800.0])
@@ -92,7 +92,7 @@ def test_a_single_wavelength_equals_the_same_one_among_others():
 
 
 def test_energy_normalisation_hardly_changes_gentle_surfaces():
-    """If one order has nearly all power, conservation of energy hardly limits the factors, which must be near 1."""
+    """Nearly all power of a gentle surface is in one order, so energy is conserved if all factors are near 1."""
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)
@@ -103,7 +103,7 @@ def test_energy_normalisation_hardly_changes_gentle_surfaces():
         np.testing.assert_allclose(both[0], both[1], rtol=1e-3)
 
 
-def test_the_last_order_of_an_even_number_of_samples_is_on_both_sides():
+def test_the_nyquist_order_has_the_same_energy_factor_on_both_sides():
     steps = wd.HeightField(np.array([[0.0, 0.14]]), 0.5)
     options = MIRROR | {"energy": "normalised"}
     with pytest.warns(wd.WarpdiffWarning, match="pitch"):

@@ -44,7 +44,7 @@ PROFILES = {
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("n", [64, 200])
 @pytest.mark.parametrize("method", EXPANSIONS)
-def test_coefficients_float64(name, n, method):
+def test_float64_coefficients_equal_closed_forms(name, n, method):
     expansion = EXPANSIONS[method]
     make, closed = PROFILES[name]
     heightfield = make(n)
@@ -64,9 +64,9 @@ def test_coefficients_float64(name, n, method):
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
 @pytest.mark.parametrize("method", ["auto", "taylor"])
-def test_coefficients_through_the_kernel(name, kind, method, device):
+def test_kernel_coefficients_equal_closed_forms(name, kind, method, device):
     make, closed = PROFILES[name]
-    # Replicas have orders of full power only for a whole number of periods.
+    # All periods interfere constructively at an order, so any whole number of periods gives the order its full power.
     coherence = wd.Coherence(kind, periods=(1, 7) if kind == "replicas" else None)
     heightfield = make(128)
     light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
@@ -91,7 +91,7 @@ def test_coefficients_through_the_kernel(name, kind, method, device):
     assert count >= 25
 
 
-def test_parseval_on_two_dimensions():
+def test_powers_of_a_two_dimensional_patch_add_up_to_one():
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=3)
     block = fourier_coefficients.Block.covering(fourier_coefficients.patch_grid(heightfield), 1e3, (0, 0))
     for expansion in EXPANSIONS.values():
@@ -126,7 +126,7 @@ def test_a_block_contains_the_fourier_transform(frequency, method, rng):
 @pytest.mark.parametrize("method", EXPANSIONS)
 @pytest.mark.parametrize("argument", [0.0, 0.3, 2.0, 6.0, 12.0])
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-9])
-def test_terms_from_the_remainder_bound(method, argument, tolerance):
+def test_the_number_of_terms_is_the_smallest_that_the_remainder_bound_allows(method, argument, tolerance):
     expansion = EXPANSIONS[method]
     terms = expansion.term_count(argument, tolerance)
     x = np.linspace(-argument, argument, 201)[:, None, None]
@@ -151,7 +151,10 @@ def test_bessel_functions_equal_tabulated_values():
 
 
 def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
-    """A frequency of 0.7/µm is order 7 of a period of 10 µm and order 14 of a period of 20 µm."""
+    """Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm.
+
+    The block adds 1 and 3 neighbours on either side.
+    """
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))
     for orders, last in zip(block.orders(), (8, 17), strict=True):

@@ -77,8 +77,11 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
     assert terms < phase_series.MAX_TERMS
 
 
-def test_taylor_is_noise_in_float32():
-    """At 1 µm, the uncentred Taylor series is useless with any number of terms; the centred one has an error of 0.1."""
+def test_taylor_series_of_high_surfaces_fail_in_float32():
+    """At a height range of 1 µm, no number of terms makes Taylor series accurate in float32.
+
+    The least error of the uncentred series exceeds 1, and that of the centred series 0.01.
+    """
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0
     assert in_float32("taylor", 0.3)[0] < 1e-5
@@ -86,7 +89,7 @@ def test_taylor_is_noise_in_float32():
 
 
 @pytest.mark.parametrize("height", HEIGHTS_UM)
-def test_automatic_choice_over_height_ranges(surfaces, height):
+def test_automatic_plans_meet_the_tolerance_for_all_height_ranges(surfaces, height):
     surface = surfaces[height]
     for tolerance in (1e-2, 1e-3):
         rho = wd.spectral_reflectance(*surface.arguments, coherence=WINDOW, tolerance=tolerance)
@@ -106,7 +109,10 @@ def test_series_of_bounded_functions_are_accurate_at_all_heights(surfaces, metho
     [("taylor-uncentred", 0.3, 1.0, 2.5), ("taylor", 0.3, 1.6, 5.0)],
 )
 def test_taylor_series_fail_above_a_height_range(surfaces, method, fair, broken, double):
-    """Taylor series fail in float32. In float64 they fail only at heights 2 to 5 times larger."""
+    """At a height range where Taylor series fail in float32, they are accurate in float64.
+
+    In float64 they fail at height ranges that are 2.5 to 3 times larger.
+    """
     assert surfaces[fair].library(method) <= 1e-4
     assert surfaces[broken].library(method) > 1.0
     assert surfaces[broken].series(method, np.float64) <= 1e-4

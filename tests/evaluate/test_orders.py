@@ -46,14 +46,18 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # The number of terms must be close to the argument of the series, because computing time is proportional to it.
+    # Computing time is proportional to the number of terms, so this number must be close to the argument of the series.
     assert order_module._term_count(1000.0) < 1150
 
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
-def test_closed_forms(name, angle):
-    """The grating equation gives directions, κ and geometry; the profile's Fourier transform gives the power."""
+def test_order_efficiencies_equal_closed_forms(name, angle):
+    """The expected efficiency of an order is its geometry factor times its power.
+
+    The grating equation gives the direction of the order and κ, from which the geometry factor follows. The profile's
+    Fourier transform at κ gives the power.
+    """
     heightfield, closed, error = PROFILES[name]
     result = wd.order_efficiencies(heightfield, at_angle(angle), WAVELENGTHS, ior=math.inf, energy="stam")
     sin_i, cos_i = math.sin(math.radians(angle)), math.cos(math.radians(angle))
@@ -86,7 +90,7 @@ def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
     assert result[0, -2][0] > 0.9
 
 
-def test_two_dimensions_by_explicit_sums(rng):
+def test_orders_of_a_two_dimensional_patch_equal_explicit_sums(rng):
     heightfield = wd.HeightField(rng.uniform(0.0, 0.5, (12, 18)), (0.11, 0.08))
     light = hemisphere(rng, 1, 0.5)[0]
     result = wd.order_efficiencies(heightfield, light, [500.0])
@@ -124,7 +128,7 @@ def test_a_flat_surface_is_a_mirror(ior):
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """For short periods and grazing light, scalar theory itself violates conservation of energy."""
+    """For a short period and grazing light, scalar theory itself violates conservation of energy by more than 5 %."""
 
     def total(period, angle):
         given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0
@@ -158,7 +162,7 @@ def test_orders_beyond_the_samples_are_reported():
      ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
      ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm")],
 )  # fmt: skip
-def test_bad_input(arguments, error, message):
+def test_invalid_arguments_are_refused(arguments, error, message):
     legal = {"heightfield": wd.gratings.sinusoidal(PERIOD, 0.1), "to_light": (0, 0, 1), "wavelengths_nm": 500.0}
     with pytest.raises(error, match=message):
         wd.order_efficiencies(**legal | arguments)
@@ -168,7 +172,7 @@ def test_an_axis_of_one_sample_has_only_the_zeroth_order():
     line = wd.HeightField.of_known_scale(np.linspace(0.0, 0.1, 16)[None], (9.0, 0.1))
     result = wd.order_efficiencies(line, at_angle(20.0), [500.0])
     assert not result.orders[:, 0].any()
-    # Only orders with |m 0.5/1.6 − sin 20°| < 1 propagate.
+    # At a wavelength of 0.5 µm, with a period of 1.6 µm, only orders m with |m · 0.5/1.6 − sin 20°| < 1 propagate.
     assert result.orders[:, 1].tolist() == [-2, -1, 0, 1, 2, 3, 4]
 
 

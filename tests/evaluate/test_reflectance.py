@@ -13,7 +13,7 @@ from bench.truth import reference
 from warpdiff.evaluate import reflectance as module
 
 UP = (0.0, 0.0, 1.0)
-# Short coherence, with which the orders of a short line overlap.
+# Window so short that the orders of the test field, whose period is 1.44 µm, overlap.
 SHORT = wd.Coherence(sigma_um=0.3)
 
 
@@ -33,7 +33,7 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
     assert not colours[3].any()
     illuminated = np.arange(5) != 3
     assert relative_errors(colours[illuminated], exact[illuminated]).max() < 1e-3
-    # Directions below the horizon are not computed, so progress has four steps for five directions.
+    # One of the five directions is below the horizon and is not computed, so progress has four steps.
     np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0])
 
 
@@ -50,7 +50,8 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
     options = {"coherence": SHORT, "method": "direct", "tolerance": 1e-4}
     wd.reflectance(line, at_angle(10.0), UP, **options)
     first = counts[0]
-    # Each halving of the step computes only the new wavelengths: as many as before minus one.
+    # After each halving of the step, only the midpoints between the previous wavelengths are computed. There is one
+    # midpoint less than there are wavelengths.
     totals = list(itertools.accumulate(counts))
     assert all(new == total - 1 for new, total in zip(counts[1:], totals, strict=False))
     monkeypatch.setattr(module, "_DIRECT_MOST_WAVELENGTHS", 2 * first + 1)
@@ -67,7 +68,10 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
 
 
 def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
-    """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²), which is 1 here and 0 below the horizon."""
+    """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²).
+
+    For R = 1 this factor is 1 in the mirror direction, and it is 0 below the horizon.
+    """
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
     for angle in (0.0, 40.0):
@@ -96,7 +100,7 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The errors of a map are relative to the colour, or to the luminance floor.
+    # The largest error of a pixel, relative to its colour or to the floor, is the error of the plan.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 

@@ -75,7 +75,10 @@ def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
 
 
 def cross(heights: np.ndarray) -> float:
-    """Return the spectral power on the two axes relative to neighbouring lines, from the fifth coefficient on."""
+    """Return the spectral power on the two frequency axes, divided by that on lines parallel to them.
+
+    The four lowest frequencies of either sign are excluded.
+    """
     power = np.abs(np.fft.fft2(heights - heights.mean())) ** 2
     ny, nx = power.shape
     rows, columns = np.arange(5, ny - 4), np.arange(5, nx - 4)
@@ -85,7 +88,7 @@ def cross(heights: np.ndarray) -> float:
     return float(on / off)
 
 
-def test_a_periodic_patch_has_no_cross() -> None:
+def test_the_spectrum_of_a_periodic_patch_has_no_cross() -> None:
     y, x = np.meshgrid(np.arange(64) / 64.0, np.arange(80) / 80.0, indexing="ij")
     tilted = HeightField(noise((64, 80)).heights_um + 2.0 * x - 1.0 * y + x * y, 0.1)
     with pytest.warns(WarpdiffWarning, match=r"range from 3\.\d+ to 0\.\d+ µm; level"):
@@ -98,7 +101,8 @@ def test_a_periodic_patch_has_no_cross() -> None:
 
 @pytest.mark.filterwarnings("ignore:periodic")
 def test_the_periodic_part_solves_moisans_equation() -> None:
-    # Off the edges, the smooth part of Moisan's decomposition is harmonic: its five-point Laplacian is 0.
+    # ``periodic()`` subtracts the smooth part of Moisan's decomposition. Except at the edges of the field, this part is
+    # harmonic: its five-point Laplacian is 0.
     field = noise((20, 17))
     smooth = field.heights_um - field.periodic().heights_um
     laplacian = sum(np.roll(smooth, s, a) for s in (1, -1) for a in (0, 1)) - 4.0 * smooth
@@ -143,7 +147,7 @@ def test_despiking_removes_a_grain_and_nothing_else() -> None:
     np.testing.assert_array_equal(result.heights_um[~changed], dirty.heights_um[~changed])
 
 
-# In the file of the scan, pixel values from 0 to 255 represent heights from 0 to 0.375 µm.
+# In the scan's image file, pixel values from 0 to 255 represent heights from 0 to 0.375 µm.
 def test_real_scan_is_cleaned(scan_path: Path) -> None:
     scan = HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375)
     assert scan.shape == (1332, 1332)

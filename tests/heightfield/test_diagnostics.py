@@ -13,7 +13,7 @@ from warpdiff.apps.cli_inputs import GRATINGS
 SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
 
 
-def test_summary_reads_well() -> None:
+def test_a_summary_states_size_pitch_heights_periods_and_limits() -> None:
     summary = wd.gratings.sinusoidal(1.6, 0.2, samples=8).summary()
     assert summary.max_uv == pytest.approx(0.38 / 0.4)
     text = str(summary)

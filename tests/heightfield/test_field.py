@@ -25,7 +25,7 @@ def test_a_height_field_has_a_read_only_copy_of_the_heights() -> None:
     assert (field.shape, field.pitch_um, field.size_um) == ((2, 3), (0.5, 0.25), (1.0, 0.75))
 
 
-def test_is_compared_by_identity_and_can_be_a_weak_key() -> None:
+def test_a_height_field_is_compared_by_identity_and_can_be_a_weak_key() -> None:
     first, second = noise((2, 3)), noise((2, 3))
     assert first != second
     assert weakref.WeakKeyDictionary({first: 1, second: 2})[second] == 2

@@ -73,8 +73,8 @@ def test_the_error_of_a_filled_gap_is_within_the_documented_bound() -> None:
 
 
 def test_filling_solves_laplaces_equation_up_to_the_edges() -> None:
-    # Half of the field and some single samples are missing. Each becomes a mean of its neighbours, weighted by
-    # 1/pitch².
+    # Half of the field and some single samples are missing. Each missing sample becomes the mean of its four
+    # neighbours, weighted by 1/pitch².
     gap = (Y > 3.0) | (np.random.default_rng(5).random(SHAPE) < 0.1)
     field = gappy(waves(), gap)
     filled = field.filled().heights_um
@@ -100,7 +100,7 @@ GAPS = {
 @pytest.mark.parametrize("name", GAPS)
 @pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 1.0), (3.0, 0.1)])
 def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, monkeypatch, rng) -> None:
-    # Conjugate gradients without the multigrid preconditioner would need more than 1000 steps.
+    # Conjugate gradients need at most 40 steps. Without the multigrid preconditioner they would need more than 1000.
     monkeypatch.setattr(inpainting, "_MOST_STEPS", 40)
     heights = np.where(GAPS[name], np.nan, 0.01 * rng.standard_normal(GAPS[name].shape))
     filled = wd.HeightField(heights, pitch).filled().heights_um
@@ -118,7 +118,7 @@ def test_levelling_is_not_disturbed_by_a_gap(order: int) -> None:
     result = gappy(total).levelled(order)
     np.testing.assert_array_equal(result.missing, GAP)
     np.testing.assert_allclose(result.heights_um[~GAP], 0.0, atol=1e-12)
-    # Levelling with gaps equals the least-squares solution over the existing samples, from a plain solver.
+    # Levelling with gaps equals the least-squares solution over the existing samples, computed by NumPy.
     rough = gappy(waves() + total)
     terms = [X**i * Y**j for i in range(order + 1) for j in range(order + 1 - i)]
     matrix = np.stack([term[~GAP] for term in terms], axis=1)
@@ -138,7 +138,7 @@ def test_despiking_and_making_periodic_preserve_gaps() -> None:
     changed = (clean.heights_um != dirty.heights_um) & ~GAP
     assert changed[grain > 0.1].all()
     assert not changed[grain == 0.0].mean() > 0.02
-    # The smooth part of the periodic decomposition depends only on edges without gaps.
+    # ``periodic()`` subtracts a smooth part that depends only on samples at the edges. A gap elsewhere has no effect.
     whole = wd.HeightField(waves(), PITCH).periodic()
     np.testing.assert_allclose(gappy(waves()).periodic().heights_um[~GAP], whole.heights_um[~GAP])
     np.testing.assert_array_equal(gappy(waves()).periodic().missing, GAP)

@@ -14,14 +14,14 @@ Y, X = np.meshgrid(np.arange(200) * PITCH, np.arange(200) * PITCH, indexing="ij"
 
 
 def grooves(period, *, degrees=0.0, height=0.572, noise=0.01, tilt=0.02, seed=0):
-    """Return grooves of a wafer with soft walls, noise and a tilt."""
+    """Return parallel grooves with rounded walls, noise and a tilt."""
     along = X * math.cos(math.radians(degrees)) + Y * math.sin(math.radians(degrees))
     heights = 0.5 * height * np.tanh(4.0 * np.sin(2.0 * np.pi * along / period + 1.2)) + tilt * (X - 0.5 * Y)
     return wd.HeightField(heights + noise * np.random.default_rng(seed).normal(size=X.shape), PITCH)
 
 
 @pytest.mark.parametrize(("period", "degrees"), [(2.886, 0.0), (2.886, 20.0), (1.1, 70.0), (0.7, 90.0), (2.2, -35.0)])
-def test_periods_between_coefficients_are_accurate_to_their_standard_error(period, degrees):
+def test_periods_between_fourier_coefficients_are_accurate_to_their_standard_error(period, degrees):
     field = grooves(period, degrees=degrees)
     result = field.periods(1)[0]
     assert abs(result.period_um - period) < 4.0 * result.standard_error_um < 0.01 * period
@@ -64,14 +64,17 @@ def test_standard_errors_are_valid_in_strong_noise(noise):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
         result = wd.HeightField(heights, PITCH).periods(1)[0]
         scores.append(abs(result.period_um - 1.37) / result.standard_error_um)
-    # In some fields the noise has a higher peak than the wave, and the fit finds that peak.
+    # In some of the 60 fields the spectrum of the noise has a higher peak than that of the wave, and the fit finds it.
     assert np.mean(np.array(scores) < 2.0) > 0.85
     assert 0.5 < np.median(scores) / 0.6745 < 1.5
 
 
 @pytest.mark.parametrize("seed", [87, 115])
 def test_a_fit_that_diverges_in_strong_noise_still_gives_a_period(seed):
-    """In strong noise the fit can diverge to a fraction of a wave, which together with a tilt fits any field."""
+    """In strong noise the fit can diverge to a period much larger than the field.
+
+    A fraction of such a wave, together with a tilt, would fit any field.
+    """
     noise = np.fft.fft2(np.random.default_rng(seed).normal(size=(60, 80)))
     noise *= np.exp(-0.5 * np.hypot(np.fft.fftfreq(60, PITCH)[:, None], np.fft.fftfreq(80, PITCH)))
     noise = np.fft.ifft2(noise).real
@@ -116,12 +119,12 @@ def test_flat_fields_have_no_period_and_one_row_has_one():
 def test_whole_periods_match_at_the_edges(degrees, shape):
     field = grooves(2.886, degrees=degrees, noise=0.0, tilt=0.0)
     cut = field.whole_periods()
-    # Three periods of 2.886 µm are 173.16 samples.
+    # Three periods of 2.886 µm are 173.16 samples, so the field is cropped to 173 samples.
     assert cut.shape == shape
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The first line behind the cropped field equals the first line of the field.
+    # The line that would follow the cropped field equals its first line, up to the rounding to whole samples.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1
@@ -143,7 +146,7 @@ def test_making_few_periods_periodic_causes_a_warning():
     assert bent.height_range_um > 1.2 * field.height_range_um
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # The edges of a rough surface with many grains do not match, but ``periodic()`` changes its heights little.
+        # The opposite edges of a rough surface differ, but ``periodic()`` changes its heights too little for a warning.
         spectrum = np.fft.rfft2(np.random.default_rng(4).normal(size=(400, 400)))
         frequency = np.hypot(np.fft.fftfreq(400, PITCH)[:, None], np.fft.rfftfreq(400, PITCH))
         rough = np.fft.irfft2(spectrum * np.exp(-((0.5 * frequency) ** 2)), (400, 400))

@@ -179,12 +179,12 @@ def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch)
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
         HeightField.load(tmp_path / "a.png", pitch_um=0.1)
-    # OpenImageIO prints unread errors at the end of the process, so the error is read here.
+    # OpenImageIO prints errors that nobody has read at the end of the process, so read the error here.
     monkeypatch.undo()
     oiio.geterror()
 
 
-def test_heights_that_are_refused_name_the_file(tmp_path):
+def test_errors_about_heights_name_their_file(tmp_path):
     np.save(tmp_path / "a.npy", [[0.0, 1e20]])
     with pytest.raises(ValueError, match=r"path: .*a\.npy': heights_um must lie within"):
         HeightField.load(tmp_path / "a.npy", pitch_um=0.1)

@@ -1,4 +1,4 @@
-"""Sums over wavelengths and Fourier coefficients: interpolated reflectances of materials, and replicated periods."""
+"""Kernels that sum over wavelengths and Fourier coefficients: reflectances of materials, and replicated periods."""
 
 import numpy as np
 import warp as wp
@@ -39,7 +39,7 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """Compare interpolated reflectances with the exact bilinear function, also at both ends of each axis."""
+    """A table of a bilinear function of angle and wavelength is interpolated exactly, also at the ends of both axes."""
 
     def reflectance(row, column):
         return 0.1 + 0.05 * row + 0.02 * column + 0.01 * row * column

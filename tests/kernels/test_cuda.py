@@ -1,4 +1,4 @@
-"""CUDA: every kernel compiles for sm_90 without a GPU. With a GPU, kernels give the same results as on the CPU."""
+"""CUDA: every kernel compiles for the Hopper architecture (sm_90) without a GPU. GPU and CPU give the same results."""
 
 import dataclasses
 import re
@@ -24,12 +24,12 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# Kernels that every picture launches are also compiled for the Ampere architecture (sm_80).
+# The slow tests also compile the kernels that every picture launches for the Ampere architecture (sm_80).
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
-# Kernel modules that contain only functions are compiled together with the kernels that call them.
+# Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.
 FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
-# Modules of constants that are also used by code without Warp.
+# Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
     "bvh": {"trace_bvh"},
@@ -47,7 +47,8 @@ KERNELS = {
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
-# Number of terms, coherence model, and whether the table rows are powers (True) or amplitudes (False).
+# Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain
+# powers (True) or amplitudes (False).
 FORMS = [
     (8, "averaged", True), slow(24, "averaged", False), slow(24, "centred", False), slow(8, "source", True),
     slow(24, "source", False), slow(24, "replicas", False),
@@ -110,9 +111,8 @@ def test_modules_compile(module, arch, tmp_path):
 def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, powers, tmp_path):
     ptx = compile_to_ptx(getattr(coefficient_sum.kernels(lanes, form, powers), name).module, tmp_path)
     assert entry_points(ptx) == {name}
-    # A basis indexed by a variable would use local memory, which PTX declares. Register spills are not visible in PTX.
-    # The
-    # 28 bytes belong to CUDA's sine of large arguments; the interference factor of replicas never has such arguments.
+    # An array indexed by a variable would need local memory, which slows a kernel. PTX declares it as a ``depot``. Only
+    # kernels of replicas have one: 28 bytes in CUDA's sine for large arguments, which these kernels never compute.
     depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
     assert depots == (["28"] if form == "replicas" else [])
 
@@ -120,7 +120,7 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize("source", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS["colour_lookup"]))
-def test_kernels_of_a_table_compile_and_stay_in_registers(name, source, arch, tmp_path):
+def test_kernels_of_table_look_ups_compile_and_stay_in_registers(name, source, arch, tmp_path):
     ptx = compile_to_ptx(getattr(colour_lookup.lookup(8, source), name).module, tmp_path, arch)
     assert entry_points(ptx) == {name}
     assert "__local_depot" not in ptx
@@ -166,7 +166,7 @@ def test_shade_equals_that_of_the_cpu(cuda):
     assert np.percentile(relative_errors(result.xyz[both], expected.xyz[both]), 99.0) < 1e-2
 
 
-def test_replayed_pictures_equal_those_of_shade(cuda):
+def test_pictures_of_a_recorded_graph_equal_those_of_shade(cuda):
     mesh = wd.meshes.tube(segments_along=64, segments_around=32)
     heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)

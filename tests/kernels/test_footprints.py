@@ -1,4 +1,4 @@
-"""Footprints: the colour of a pixel is the mean over its filter, compared with pictures of many rays per pixel."""
+"""Footprints: mean colours over the pixel filter from one look-up, compared with pictures of many rays per pixel."""
 
 import dataclasses
 
@@ -25,7 +25,8 @@ from warpdiff.tables.lookup import ColourLookup
 SHORT = wd.Coherence(sigma_um=3.25)
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
-# Rays per pixel of the reference. With 144, its noise raised P99 of the best pictures to 0.25; with 400, P99 is 0.06.
+# Number of rays per pixel in the reference picture. With 144 rays, noise of the reference raised the 99th percentile of
+# the measured errors to 0.25. With 400 rays the percentile is 0.06.
 RAYS = 400
 
 
@@ -40,7 +41,7 @@ def view():
 
 @pytest.fixture(scope="module")
 def pictures(tube, fingers):
-    """Return a picture with footprints, one with a point per pixel, and a reference with 400 points per pixel."""
+    """Return a picture with footprints, one with one ray per pixel, and a reference with 400 rays per pixel."""
     blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
     plan = dataclasses.replace(blurred.plan, footprint=False)
     points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
@@ -70,7 +71,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In so small a picture, the azimuth of (u, v) changes by 0.1 or more per pixel, which limits the accuracy.
+    # In so small a picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits
+    # the accuracy of footprints.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -78,7 +80,7 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
 
 @pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
 def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
-    """Azimuth samples are periodic: colours are continuous at an azimuth of 0, however wide the footprint is."""
+    """Azimuth samples are periodic, so colours are continuous at azimuths of 0° and 180°."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
@@ -98,9 +100,9 @@ def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
-    """Look-ups are computed in SIMD batches, and batches begin elsewhere with another number of threads.
+    """The number of threads determines which look-ups share a SIMD batch. Colours must not depend on this.
 
-    Compilers once rounded the remainder of a batch differently, which changed the table row of 1 in 2000 look-ups.
+    Compilers once rounded differently in incomplete batches, which changed the table row of 1 in 2000 look-ups.
     """
     plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
@@ -130,7 +132,7 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
 
 
 def colours(heightfield, plan, direction_range, uv, footprints):
-    """Return XYZ at (u, v), shape (n, 2), from the table of a plan."""
+    """Return XYZ at (u, v), shape (n, 2), for w = −1.5, computed by a plan's table or by its sampled wavelengths."""
     device = wp.get_device("cpu")
     xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
     scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
@@ -145,7 +147,11 @@ def colours(heightfield, plan, direction_range, uv, footprints):
     [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
 )
 def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn, median, most):
-    """Footprints are lines in radial and oblique directions. Wide footprints use fewer rings and have a skewness."""
+    """Compare look-ups of one-dimensional footprints with means over 120 points along these footprints.
+
+    The footprints are radial or oblique lines in (u, v). Wide ones are included: their look-ups skip rings, and their
+    Gaussians in ln |(u, v)| are skewed.
+    """
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
     sampled = wd.plan(fingers, coherence=SHORT, method="low-rank", tolerance=1e-3)
@@ -168,7 +174,10 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Footprints at 0 to 3 standard deviations from the mirror direction include all azimuths."""
+    """Compare footprints that include all azimuths, because they are centred close to the mirror direction.
+
+    Their centres are 0 to 3 standard deviations of the footprint away from it.
+    """
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
     plan = wd.plan(heightfield, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -189,10 +198,10 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
     assert relative.max() < 5e-2
 
 
-def test_a_wide_footprint_weighs_each_ring_by_its_area():
-    """Compute the mean of a narrow Gaussian over a wide one, both centred on the mirror direction.
+def test_a_wide_footprint_weights_each_ring_by_its_area():
+    """Fill the table with a narrow Gaussian of |(u, v)|, and compute its mean over a wide Gaussian footprint.
 
-    A narrow Gaussian depends on the innermost rings, which have twice the spacing of the other rings.
+    Both are centred on the mirror direction. Near it, look-ups of wide footprints skip every second ring.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)
@@ -222,7 +231,10 @@ def test_a_wide_footprint_weighs_each_ring_by_its_area():
 
 
 def seen_by(surface, view, light, face, column, row, *, smooth):
-    """Return (u, v), shape (n, 2), in float64 where camera rays through picture positions meet the planes of faces."""
+    """Return (u, v) in float64, shape (n, 2), at the points where camera rays intersect the planes of given faces.
+
+    The rays pass through the picture positions (``column``, ``row``) in pixels.
+    """
     frame = view.frame()
     x = (2.0 * column / view.width - 1.0) * frame.half_width
     y = (1.0 - 2.0 * row / view.height) * frame.half_height
@@ -244,10 +256,10 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
-def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
-    """Compare footprints with finite differences of (u, v) between rays that meet the plane of the same face.
+def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth, rng):
+    """Compare footprints with finite differences of (u, v) between rays that intersect the plane of the same face.
 
-    A coarse mesh with sheared tangents is included, because its tangents are not perpendicular to its normals.
+    The coarse mesh has sheared tangents, which are not perpendicular to its normals.
     """
     size = {"width": 48, "height": 36}
     camera = {
@@ -276,7 +288,7 @@ def test_footprints_are_the_slopes_of_uv(tube, place, smooth, rng):
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
-    # Near grazing view, normals are tilted towards the viewer, so the slopes of (u, v) are discontinuous.
+    # At grazing view, kernels tilt normals towards the viewer, so derivatives of (u, v) are discontinuous.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200
@@ -296,9 +308,10 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """A Gaussian line between azimuth samples, stored as spline coefficients, is blurred by a few filter taps.
+    """A Gaussian line is stored as spline coefficients at azimuth samples. A weighted sum of a few of them blurs it.
 
-    For the line spectra of a source, the spline itself has an error of 3 % of the peak.
+    The result must equal a wider Gaussian. For the narrow lines of a source (``LINE_TAPS``), the spline itself has an
+    error of 3 % of the peak.
     """
     made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
@@ -314,7 +327,7 @@ def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
             if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
-            # The azimuth samples are numbered so that the filter taps are in the middle.
+            # Index of the first azimuth sample under the filter, so that its taps are in the middle of the 49 samples.
             first = 24 - count // 2
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own
@@ -325,7 +338,7 @@ def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
                 assert abs(result - exact) * np.sqrt(variance) < worst
 
 
-def test_a_flat_surface_has_no_footprints(fingers):
+def test_a_flat_mesh_under_an_orthographic_camera_has_no_footprints(fingers):
     disc = meshes.disc(inner_radius=0.0, outer_radius=1.0, segments=32, rings=3)
     along_x = np.tile([1.0, 0.0, 0.0], (len(disc.vertices), 1))
     camera = wd.View.orthographic((0.3, 0, 2), (0, 0, 0), extent_y=0.5, width=16, height=12)

@@ -1,4 +1,4 @@
-"""Light samples: factors interpolated by angle, and footprints of lights that are extended or nearby."""
+"""Light samples: energy factors and transmittances by angle, and footprints of lights that are extended or nearby."""
 
 import numpy as np
 import pytest
@@ -26,11 +26,14 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """The energy factor is linear in √(1 − cos θ) and in |x| + |y|; transmittances are linear in cos θ."""
+    """Interpolation of tables: energy factors are linear in √(1 − cos θ), transmittances in cos θ.
+
+    Around the normal, energy factors are linear in y / (|x| + |y|) within each quadrant.
+    """
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
-    # NaN entries after the last entry of a material must not be read.
+    # The entries of material 2 are NaN, because a look-up in material 1 must not read them.
     transmittances[2] = np.nan
     reflection = light_samples.Reflection()
     reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
@@ -50,7 +53,7 @@ def test_factors_are_linear_between_angles(rng):
         np.testing.assert_allclose(through.numpy()[:, channel], linear, rtol=1e-4)
 
 
-def test_a_lights_extent_adds_its_covariance(rng):
+def test_the_extent_of_a_light_adds_its_covariance_to_footprints(rng):
     pixels, lights = Pixels(), light_samples.Lights()
     tangents, normals = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
     bitangents = np.cross(normals, tangents)
@@ -74,7 +77,7 @@ def test_a_lights_extent_adds_its_covariance(rng):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_rays(orthographic, rng):
-    """Compare with rays a small part of a pixel apart: where they meet the face, the light has another direction."""
+    """The direction to a near light changes from ray to ray. Compare its change with rays 0.0005 pixels apart."""
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     place, eye = np.array([0.4, -0.3, 0.7]), np.array([1.5, 1.0, 2.0])
@@ -84,7 +87,7 @@ def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_ra
     half, width, height, deviation = np.array([0.2, 0.15]), 16, 12, 0.5
 
     def met(x, y):
-        """Return where the ray at a picture position meets the plane, and the direction back along the ray."""
+        """Return the intersection of the ray at a picture position with the plane, and the direction to the camera."""
         across = x * right + y * up
         origin, along = (eye + across, -back) if orthographic else (eye, across - back)
         return origin + along * (plane @ (corners[0] - origin)) / (plane @ along), -along / np.linalg.norm(along)

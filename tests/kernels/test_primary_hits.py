@@ -24,7 +24,10 @@ OUTPUTS = ("hit", "face", "tangent", "bitangent", "normal", "to_view", "shadow_o
 
 
 def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, scene=None, covers=False):
-    """Return the kernels' outputs by name, (height * width, ...) each, by ray tracing or by rasterizing faces."""
+    """Return the kernels' outputs by name, each of shape (height * width, ...).
+
+    With ``covers`` the kernels rasterize the faces, otherwise they trace camera rays.
+    """
     scene = scene or SceneArrays(surface, smooth=smooth, device="cpu")
     sampling = Sampling()
     count = view.width * view.height
@@ -92,7 +95,7 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
-def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
+def test_hits_and_shading_frames_equal_brute_force(scene, covers, smooth, request):
     mesh, view = SCENES[scene]
     mesh = mesh or request.getfixturevalue("fuze_path")
     tangents = [[0.2, 1.0, 0.3]] * len(mesh.vertices) if scene == "sphere" else None
@@ -116,7 +119,7 @@ def test_rays_and_frames_equal_brute_force(scene, covers, smooth, request):
     place = np.einsum("kc,kcd->kd", got["base_colour"][hit], vertices[surface.faces[got["face"][hit]]])
     np.testing.assert_allclose(np.sum((place - origins[hit]) * directions[hit], axis=1) / t[hit], 1.0, atol=2e-5)
     hit &= sure
-    # On faces viewed at grazing angles, rounding errors of the position are magnified by 1 / cos θ.
+    # Faces viewed at grazing angles are excluded, because 1 / cos θ magnifies rounding errors of the position there.
     corners = vertices[surface.faces[face]]
     geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     grazing = np.abs(np.sum(geometric * directions, axis=1)) / np.linalg.norm(geometric, axis=1)
@@ -147,18 +150,19 @@ def wall(corner_colours=None, size=100.0):
     return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
 
 
-def test_perspective_pixel_centres():
+def test_perspective_rays_pass_through_pixel_centres():
     surface = prepare_surface(wall())
     width, height = 8, 6
     got = cast(surface, View((0, 0, 2.0), (0, 0, 0), fov_y_deg=90, width=width, height=height))
     away = got["to_view"].reshape(height, width, 3).astype(np.float64)
-    # Expected positions of rays on the plane z = 1 behind the eye, in half heights of the picture: row 0 is at the top.
+    # Positions at which the rays, extended beyond the eye, cross a plane at distance 1 behind it. The unit is half the
+    # height of the picture. Row 0 is at the top.
     place = -away[..., :2] / away[..., 2:]
     np.testing.assert_allclose(place[..., 1], np.broadcast_to(((2.5 - np.arange(6)) / 3.0)[:, None], (6, 8)), atol=1e-6)
     np.testing.assert_allclose(place[..., 0], np.broadcast_to((np.arange(8) - 3.5) / 3.0, (6, 8)), atol=1e-6)
 
 
-def test_orthographic_pixel_centres():
+def test_orthographic_rays_pass_through_pixel_centres():
     surface = prepare_surface(wall(size=4.0))
     got = cast(surface, View.orthographic((0, 0, 2.0), (0, 0, 0), extent_y=3.0, width=8, height=6), smooth=False)
     np.testing.assert_allclose(got["to_view"], np.tile([[0, 0, 1.0]], (48, 1)), atol=1e-7)
@@ -181,7 +185,7 @@ def test_a_distant_eye_loses_no_precision(covers):
     np.testing.assert_allclose(frames[0]["tangent"][both], frames[1]["tangent"][both], atol=3e-3)
 
 
-def test_faces_leave_no_gap_where_they_meet():
+def test_rasterized_faces_leave_no_gap_at_common_edges():
     # A vertex and four edges of the mesh coincide with pixel centres, viewed once frontally and twice obliquely.
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
     mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
@@ -217,7 +221,7 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
         np.testing.assert_allclose(result[name][same], by_rays[name][same], atol=1e-5)
 
 
-def test_eyes_close_to_a_face_see_no_gap():
+def test_an_eye_close_to_a_face_sees_no_gap():
     """An eye inside a closed mesh must see a face in every direction."""
     surface = prepare_surface(trimesh.creation.icosphere(subdivisions=2), tangents=np.tile([0.3, 1.0, 0.2], (162, 1)))
     scene = SceneArrays(surface, device="cpu")
@@ -229,8 +233,8 @@ def test_eyes_close_to_a_face_see_no_gap():
         assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
 
 
-# Meshes for refined pixels. At the border of the upper plate, some rays of a pixel hit it and others hit the lower
-# plate. In the distant mesh, faces are smaller than a pixel.
+# Meshes and views for tests of refined pixels. At the border of the upper plate, some subpixel cells show the upper and
+# others the lower plate. In the mesh named "far away", faces are smaller than a pixel.
 CELLS = {
     "plates": (trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])]),
                View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)),
@@ -266,7 +270,7 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     for faces in (nearest, by_rays):
         pixels = pixels_for(count)
         pixels.nearest = faces
-        # Some slices of the work begin in the middle of a pixel.
+        # With 7 slices, some slices begin in the middle of a pixel's cells.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
             wp.launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
@@ -281,11 +285,12 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     np.testing.assert_allclose(to_view[same], view_by_rays[same], atol=1e-6)
 
 
-def test_neighbours_of_refined_pixels_stay_unchanged():
+def test_rasterization_writes_only_the_cells_of_refined_pixels():
     surface = prepare_surface(wall(size=400.0))
     scene = SceneArrays(surface, device="cpu")
     view = View((0, 0, 3.0), (0, 0, 0), width=130, height=3)
-    # The refined pixels are at the ends of words of the bit mask and at the ends of picture rows.
+    # A mask with one bit per pixel, in words of 64 bits, marks the refined pixels. In this test they are at the ends of
+    # words and of picture rows.
     pixels = np.array([0, 63, 64, 129, 130, 193, 389], dtype=np.int32)
     cells = pixel_filter.grid_of(pixels, 2, view.width, view.height, wp.get_device("cpu"))
     count = 16 * len(pixels)
@@ -298,7 +303,7 @@ def test_neighbours_of_refined_pixels_stay_unchanged():
 
 
 @pytest.mark.parametrize("covers", [True, False], ids=["cover", "rays"])
-def test_slices_make_the_same_picture(covers):
+def test_the_number_of_slices_does_not_change_a_picture(covers):
     surface = prepare_surface(meshes.tube(segments_along=24, segments_around=12))
     view = View((0.5, 2, 2), (0, 0, 0), width=33, height=21)
     scene = SceneArrays(surface, device="cpu")
@@ -318,7 +323,7 @@ def offsets(sample, samples, seed=0, width=64, height=48):
     return np.stack([place[:, 0] - (columns + 0.5 - width / 2), height / 2 - rows - 0.5 - place[:, 1]], axis=1)
 
 
-def test_gaussian_offsets():
+def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     np.testing.assert_allclose(offsets(0, 1), 0.0, atol=3e-5)
     np.testing.assert_array_equal(offsets(3, 8), offsets(3, 8))
     all_of_them = np.stack([offsets(k, 16) for k in range(16)])
@@ -354,7 +359,7 @@ def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
         assert np.all(got["shadow_origin"][:, 2] * np.sign(z) > 0.0)
 
 
-def test_shading_normals_are_tilted_to_a_hundredth():
+def test_shading_normals_that_face_away_are_tilted_to_a_cosine_of_0_01():
     mesh = wall(size=2.0)
     # One shading normal is tilted away from a distant viewer, and another points almost directly away from the viewer.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
@@ -387,7 +392,7 @@ def test_a_tangent_along_the_normal_has_a_defined_frame(tangent):
     np.testing.assert_allclose(frame @ np.swapaxes(frame, 1, 2), np.tile(np.eye(3), (9, 1, 1)), atol=1e-6)
 
 
-def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
+def test_textures_are_bilinear_and_periodic_with_row_0_at_the_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
@@ -403,7 +408,7 @@ def test_textures_are_bilinear_repeat_and_have_row_0_on_top():
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
 
 
-# The compile options equal those of the package, for which Warp's headers are already compiled.
+# The kernel of this test has the package's compile options. Other options would let Warp recompile its headers.
 wp.set_module_options(compile_options.options())
 
 

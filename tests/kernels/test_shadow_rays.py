@@ -75,7 +75,7 @@ def points_on(surface, light, count, rng):
 
 
 def occluded(grid, light, origins, threads=1):
-    """Return which shadow rays the kernel reports as occluded, from points whose normals face the light."""
+    """Return the shadow kernel's results for rays from ``origins`` to the light: True for each occluded ray."""
     places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
@@ -112,8 +112,9 @@ def test_shadows_equal_brute_force(make, light, rng):
         np.testing.assert_array_equal(occluded(grid, light, origins)[sure], np.isfinite(t)[sure])
 
 
-def test_faces_leave_no_gap_where_they_meet(rng):
-    # Shadow rays pass exactly through vertices and edge centres of a crumpled sheet, and are rounded to either side.
+def test_shadows_have_no_gap_at_common_edges_of_faces(rng):
+    # Shadow rays pass through vertices and edge centres of a crumpled sheet. Rounding moves them to either side of an
+    # edge, but at least one face must occlude them.
     sheet = lid(2.0)
     for _ in range(5):
         sheet = sheet.subdivide()
@@ -131,7 +132,7 @@ def test_faces_leave_no_gap_where_they_meet(rng):
 
 
 def test_other_points_in_a_grid_cell_do_not_change_a_shadow(rng):
-    # A sheet does not occlude points in its own plane, even if lower points are in the same grid cell.
+    # A sheet occludes points below it, but not points in its own plane, even if a grid cell contains both.
     sheet = lid(2.0)
     for _ in range(4):
         sheet = sheet.subdivide()
@@ -207,7 +208,7 @@ def test_a_moving_view_reuses_the_occluder_grids_of_its_lights(monkeypatch):
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
+def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples, monkeypatch):
     mesh = meshes.tube(segments_along=24, segments_around=16)
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights = [wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))]
@@ -232,8 +233,8 @@ def test_pictures_equal_those_of_the_hierarchy(samples, monkeypatch):
 
 
 def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_face_it():
-    # A snake seen from below and illuminated from behind. No cell of the first level faces the light. Cells of the next
-    # level that face the light are in shadow.
+    # A snake is viewed from below and illuminated from behind. None of its pixels faces the light. The smaller subpixel
+    # cells of the next level partly face the light, but they are in shadow.
     heightfield, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
     eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)

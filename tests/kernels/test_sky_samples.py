@@ -75,15 +75,19 @@ def results():
 
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
-def test_points_of_each_square_of_cells_are_a_net(size, results):
-    """Each run of 2ⁿ points, from a multiple of 2ⁿ on, has one point in each of 2ⁿ boxes of equal area."""
+def test_points_of_each_square_of_cells_are_stratified(size, results):
+    """The points are a (0, 2)-sequence: 2ⁿ points from a multiple of 2ⁿ on have one in each of 2ⁿ equal boxes.
+
+    The boxes divide the unit square into any power of 2 of columns. Along a Morton curve, these points belong to the
+    cells of a square.
+    """
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):
             boxes = (points * [across, size // across]).astype(int)
             assert len(np.unique(boxes, axis=0)) == size
 
 
-def test_cells_follow_a_morton_curve(results):
+def test_indices_of_cells_follow_a_morton_curve(results):
     indices = results[1]["indices"].reshape(128, 128)
     np.testing.assert_array_equal(np.sort(indices.ravel()), np.arange(COUNT))
     np.testing.assert_array_equal(indices[:4, :4], [[0, 1, 4, 5], [2, 3, 6, 7], [8, 9, 12, 13], [10, 11, 14, 15]])
@@ -101,7 +105,8 @@ def test_points_are_drawn_in_proportion_to_their_density(results):
         assert inside.mean() == pytest.approx(share, abs=2e-3)
         counts = np.bincount((turn[inside] * len(spokes)).astype(int), minlength=len(spokes))
         np.testing.assert_allclose(counts / inside.sum(), spokes, atol=3e-3)
-    # The mean of 1/density over samples is the area of the sampled disc, and the mean of |(u, v)|²/density is known.
+    # The mean of f/density over samples is the integral of f over the disc |(u, v)| < r. The integral is πr² for f = 1,
+    # and πr⁴/2 for f = |(u, v)|².
     farthest = 0.25 * 3.0
     per_density = 1.0 / computed["uv_densities"]
     assert per_density.mean() == pytest.approx(math.pi * farthest**2, rel=0.01)

@@ -14,7 +14,7 @@ def array(values, dtype):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("is_base", [True, False])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
-    """Pixel 5 of 9 is subdivided. In turn, each of its cells is illuminated, misses the mesh, or is not illuminated."""
+    """Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark."""
     across = 2**level
     weights = rng.uniform(size=(3, across))
     for cell in range(across**2):
@@ -49,7 +49,7 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
-    """Pixel 5 of 9 is subdivided. Cells that miss the mesh, such as one whole block, do not add to the variance."""
+    """Pixel 5 of 9 pixels is subdivided. Cells that miss the mesh, here one whole block, do not add to the variance."""
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
     hit[: across // 4, : across // 4] = False
@@ -74,8 +74,8 @@ def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
     assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
-    """Only tiles that were last shaded at the current level can change their level."""
+def test_the_level_of_a_pixel_rises_until_the_scatter_of_its_samples_meets_the_tolerance(rng):
+    """The kernel changes only the level of tiles that were shaded at level 3, the level of the latest pass."""
     height, width, floor, tolerance, level, most = 7, 9, 0.5, 0.05, 3, 5
     shaded = rng.choice([2, 3], (height, width), p=[0.3, 0.7])
     scatter = rng.lognormal(-2.5, 1.5, (height, width)).astype(np.float32)
@@ -105,7 +105,7 @@ def test_levels_of_samples_rise_until_their_scatter_falls_to_the_tolerance(rng):
 
 
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
-    """Compute the levels of ``select_levels`` tile by tile, for a picture in which all tiles have cells."""
+    """Return the changes and levels that the kernel ``select_levels`` must compute, if all pixels have cells."""
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
     square = np.zeros(cells.shape[:2])
@@ -130,7 +130,7 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     return changes, levels
 
 
-def test_levels_follow_from_second_differences(rng):
+def test_levels_follow_from_second_differences_of_colours(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
     # Colours that change linearly along a row need no finer cells.
@@ -158,7 +158,7 @@ def test_levels_follow_from_second_differences(rng):
     assert np.all(levels[4:, :] == 1)
 
 
-def test_each_pixel_of_all_threads_gets_a_lights_share_once(rng):
+def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     colours, others = rng.uniform(size=(2, 12, 3))
     errors, other_errors = rng.uniform(size=(2, 12))
     illuminated, others_illuminated = rng.uniform(size=(2, 12)) < 0.5

@@ -31,7 +31,7 @@ def tiled_power(heightfield, periods, scattering_vector, wavelength):
 
 
 def scattering_vector_at(heightfield, turns_x, turns_y, wavelength, w=-1.3):
-    """Return a scattering vector whose phase changes by the given turns from period to period along x and y."""
+    """Return a scattering vector for which the phase changes by the given turns from one period to the next."""
     return np.array([turns_x * wavelength / heightfield.size_um[1], turns_y * wavelength / heightfield.size_um[0], w])
 
 
@@ -56,10 +56,10 @@ def test_replicas_equal_the_sum_over_all_periods(small, rng, periods):
 
 @pytest.mark.parametrize("turns_x", [-2.0, 0.0, 3.0, 1.0 + 1e-9, 1.0 - 1e-9, -3.0 + 1e-9, 0.5, -1.5, 2.25])
 @pytest.mark.parametrize("turns_y", [0.0, -1.0, 2.0 + 1e-9, 0.5, 0.1])
-def test_periods_at_and_near_resonances(small, turns_x, turns_y):
+def test_replicas_at_and_near_resonances_equal_the_sum_over_all_periods(small, turns_x, turns_y):
     scattering_vector = scattering_vector_at(small, turns_x, turns_y, 0.5)
     value = one(small, Coherence("replicas", periods=PERIODS), scattering_vector, 0.5)
-    # With half turns between periods, the sum over four periods cancels up to rounding errors.
+    # The tolerance of 1e-28 allows for cancellation: with half a turn between periods, the sum over four periods is 0.
     assert value == pytest.approx(tiled_power(small, PERIODS, scattering_vector, 0.5), rel=1e-9, abs=1e-28)
     if np.rint(turns_x) == turns_x and np.rint(turns_y) == turns_y:
         coefficient = np.fft.ifft2(np.exp(2j * np.pi * scattering_vector[2] / 0.5 * small.heights_um))
@@ -67,7 +67,7 @@ def test_periods_at_and_near_resonances(small, turns_x, turns_y):
         assert value == pytest.approx(expected, rel=1e-9)
 
 
-def test_periods_of_one_sample_have_its_pitch_as_their_length():
+def test_a_period_of_one_sample_is_as_long_as_the_pitch():
     heightfield = HeightField(np.linspace(0.0, 0.3, 9)[None, :], (0.4, 0.1))
     for scattering_vector in (np.array([0.3, 0.21, -1.5]), np.array([0.3, 1.25, -1.1])):
         value = one(heightfield, Coherence("replicas", periods=(5, 2)), scattering_vector, 0.5)
@@ -75,7 +75,7 @@ def test_periods_of_one_sample_have_its_pitch_as_their_length():
 
 
 @pytest.mark.parametrize("count", [1000, 5001, 100_000])
-def test_thousands_of_periods(small, count):
+def test_thousands_of_periods_equal_a_geometric_series(small, count):
     coherence, alone = Coherence("replicas", periods=(1, count)), Coherence("replicas", periods=(1, 1))
     k = np.arange(count)
     for turns in (3.0, 2.0 + 1e-9, 2.0 + 1e-6, 1.0 - 0.37 / count, 2.0 + 1.5 / count, 0.5 + 0.21 / count, 0.317):
@@ -84,7 +84,7 @@ def test_thousands_of_periods(small, count):
         exact = scattering_vector[0] / 0.5 * small.size_um[1]
         series = abs(np.mean(np.exp(2j * np.pi * ((k * (exact - round(exact))) % 1.0)))) ** 2
         assert value == pytest.approx(patch * series, rel=1e-7, abs=1e-9 * patch / count**2)
-    # Far from a resonance many periods cancel. At a resonance they equal an infinite surface.
+    # Far from a resonance the periods cancel: the power is at most 2/count² of the power of one period.
     far = scattering_vector_at(small, 0.25, 0.3, 0.5)
     assert one(small, coherence, far, 0.5) <= 2.0 * one(small, alone, far, 0.5) / count**2 * (1.0 + 1e-9)
 
@@ -122,8 +122,8 @@ def tangent_frame(to_light):
 
 
 @pytest.mark.parametrize("theta", INCIDENCES)
-def test_spread_is_the_projected_source(theta):
-    """The spread of a source is the covariance of the tangential part of its directions."""
+def test_the_covariance_of_a_source_is_its_projected_spread(theta):
+    """The tangential parts of a source's directions have the covariance s² (1 − ωi ωiᵀ), with the spread s."""
     to_light, s = inclined(theta), 1e-4
     first, second = tangent_frame(to_light)
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
@@ -142,11 +142,10 @@ def test_spread_is_the_projected_source(theta):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
-    """Each order shows the source at the direction from which its light comes, exactly for an infinitely small source.
+    """Each order shows an image of the source: the power is proportional to the radiance of one point of the source.
 
-    This direction is a point (a, b) on the tangent plane of the sky, in units of the spread. The radiance of the source
-    is
-    exp(−(a² + b²)/2) there.
+    The points (a, b) lie on a plane tangent to the sky, in units of the spread. Their radiance is exp(−(a² + b²)/2).
+    The proportionality is exact in the limit of a small source.
     """
     to_light, wavelength = inclined(theta), 0.5
     first, second = tangent_frame(to_light)
@@ -163,7 +162,7 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
         coherence = Coherence("source", angular_diameter_deg=diameter)
         s, worst = coherence.spread, 0.0
         for (r, t), place in cases:
-            # Direction to a viewer whom this order reaches from the chosen point of the source.
+            # Direction into which this order diffracts the light from the chosen point of the source.
             origin = to_light + s * (place[0] * first + place[1] * second)
             origin /= np.linalg.norm(origin)
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])
@@ -174,7 +173,7 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # The tangent plane has an error of first order in spread · tan θi, or of second order at normal incidence.
+    # Projecting the sky onto a plane has an error of first order in spread · tan θi (second order at normal incidence).
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]
@@ -203,10 +202,13 @@ def test_a_source_needs_its_direction(small):
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
 def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
-    """For a flat patch, ∫⟨|P|²⟩ du dv = Ω, or Ω cos θi for a source. With ``brdf_scale`` a mirror reflects all."""
+    """For a flat patch, ∫⟨|P|²⟩ du dv is the solid angle Ω, or Ω cos θi for a source.
+
+    With the factor ``brdf_scale`` the integral of a perfect mirror's BRDF is 1.
+    """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # For replicas the integral covers only one period of the spectrum, because sums over samples are periodic.
+    # For replicas, whose lobes are wide, the integral covers one period of the spectrum of the sampled surface.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)
@@ -217,7 +219,8 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # The integral of the BRDF is C/cos θi for both definitions: ρ = C⟨|P|²⟩, or ρ = C/cos θi · ⟨|P|²⟩ for a source.
+    # The scaled integral is 1/cos θi for most models, where ρ = C⟨|P|²⟩. For a source, where ρ = C/cos θi · ⟨|P|²⟩, the
+    # remaining factor is 1.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

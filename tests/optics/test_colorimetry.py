@@ -50,7 +50,10 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
 
 @pytest.mark.parametrize("illuminant", sorted(colorimetry.PRECOMPUTED))
 def test_precomputed_products_equal_those_of_colour_science(illuminant):
-    """If values of colour-science change, write the file of products again with ``numpy.save``."""
+    """The package stores products of illuminants and CIE observer, computed by the package colour-science.
+
+    If this test fails because colour-science has changed, write the stored file again with ``numpy.save``.
+    """
     expected = colorimetry.products_by_colour_science(illuminant)
     np.testing.assert_allclose(colorimetry.colour_products(illuminant), expected, rtol=1e-12, atol=0.0)
 
@@ -63,7 +66,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("geometric", [False, True])
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
-def test_uniform_quadratures(colour, geometric, illuminant, count):
+def test_uniform_quadratures_give_white_its_exact_colour(colour, geometric, illuminant, count):
     """Quadratures with equal steps in 1/λ, or in ln λ, give white the same colour as the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
@@ -78,8 +81,11 @@ def test_flat_mirror_is_white(device):
     np.testing.assert_allclose(xyz, WHITE_D65, atol=1e-6)
 
 
-def test_a_linear_reflectance(colour):
-    """The quadrature is of sixth order in 1/λ. With few samples, negative weights are moved to neighbours."""
+def test_the_quadrature_of_a_linear_reflectance_is_accurate(colour):
+    """The quadrature is of sixth order in 1/λ.
+
+    At a step of 50 nm some weights would be negative. They are added to those of neighbours, which costs accuracy.
+    """
     rho = np.linspace(0.2, 0.9, 401)
     exact = one_nm_sum(colour, "D65", rho)
     for step, error in ((1, 1e-8), (5, 1e-8), (10, 1e-8), (25, 1e-7), (50, 1e-2)):
@@ -100,8 +106,11 @@ def test_quadrature_converges_for_a_wave():
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "FL11", "HP1"])
-def test_orders_under_illuminants_with_narrow_lines(illuminant):
-    """Orders are Gaussians in 1/λ. The narrow lines of the illuminant are often between two samples."""
+def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illuminant):
+    """The spectra of the test are Gaussians of 1/λ around 101 positions, such as orders under a coherence window.
+
+    Narrow lines of the illuminant often lie between two samples.
+    """
     centres = np.linspace(1e3 / 780.0, 1e3 / 380.0, 101)
 
     def colours(count):
@@ -109,8 +118,7 @@ def test_orders_under_illuminants_with_narrow_lines(illuminant):
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # The tested numbers of samples are slightly smaller than those of upper bounds at tolerances of 1e-2, 1e-3 and
-    # 1e-4.
+    # Upper-bound plans for these tolerances have slightly more samples than are tested here.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 
@@ -122,7 +130,7 @@ def test_matrices_agree_with_colour_science(colour):
     np.testing.assert_allclose(colorimetry.xyz_to_rgb(colorimetry.rgb_to_xyz([[0.2, -0.1, 0.7]]))[0], [0.2, -0.1, 0.7])
 
 
-def test_transfer_function(colour):
+def test_srgb_transfer_functions_agree_with_colour_science(colour):
     linear = np.linspace(0.0, 1.0, 1001)
     np.testing.assert_allclose(colorimetry.srgb_encode(linear), colour.models.eotf_inverse_sRGB(linear), atol=1e-12)
     np.testing.assert_allclose(colorimetry.srgb_decode(colorimetry.srgb_encode(linear)), linear, atol=1e-7)

@@ -43,7 +43,7 @@ def test_glass_reflects_no_p_light_at_brewsters_angle_and_all_at_the_horizon():
     assert glass.reflectance(500.0, 90.0) == pytest.approx(1.0)
 
 
-def test_a_quarter_wave_film_with_the_root_of_the_index_reflects_nothing():
+def test_a_quarter_wave_film_with_the_square_root_of_the_index_reflects_nothing():
     coated = wd.Material.dielectric(2.25).coated(wd.Material.dielectric(1.5), 550.0 / 4.0 / 1.5)
     assert coated.reflectance(550.0, 0.0) == pytest.approx(0.0, abs=1e-12)
     assert coated.reflectance(400.0, 0.0) > 0.02
@@ -57,7 +57,7 @@ def test_metals_have_their_colours():
     assert "CC0" in GOLD.source
 
 
-def test_materials_are_equal_by_their_numbers():
+def test_materials_with_equal_numbers_are_equal():
     assert wd.Material.dielectric(1.5) == wd.Material.dielectric(1.5)
     assert hash(FILM) == hash(wd.Material.metal("Al").coated(wd.Material.dielectric(1.46), 180.0))
     assert wd.Material.dielectric(1.5) != wd.Material.dielectric(1.6)
@@ -130,7 +130,7 @@ def test_a_formula_that_has_no_index_at_some_wavelengths_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("text", BAD_FILES)
-def test_other_files_are_refused(text, tmp_path):
+def test_files_without_a_material_are_refused(text, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(ValueError, match=BAD_FILES[text]):
         wd.Material.from_file(tmp_path / "a.csv")
@@ -231,7 +231,7 @@ def flat():
 
 
 def mirrored(material, angle):
-    """Return XYZ of a flat material in the mirror direction, with the geometry factor C of a perfect mirror."""
+    """Return XYZ of a flat surface of a material in the mirror direction, summed over wavelengths in steps of 1 nm."""
     wavelengths = np.arange(380, 781)
     reflected = flat_materials.reflectance(material, 1e-3 * wavelengths, math.cos(math.radians(angle)))
     to_light, to_view = at_angle(angle)[None], at_angle(-angle)[None]
@@ -242,7 +242,7 @@ def mirrored(material, angle):
 @pytest.mark.parametrize("name", ["Au", "Cr", "glass", "a film on aluminium"])
 @pytest.mark.parametrize("nodes", [0, 32], ids=["sampled", "table"])
 def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
-    """In the mirror direction the colour follows from R(θ, λ), for sampled wavelengths and for a table."""
+    """In the mirror direction, calls with sampled wavelengths and with a table equal the integral of R(θ, λ)."""
     heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
     plan = dataclasses.replace(
         wd.plan(heightfield, method="low-rank"), rings_per_octave=nodes, azimuths_per_width=1.3 * (nodes > 0)

@@ -13,7 +13,7 @@ def white(illuminant):
 
 
 def test_a_black_body_of_2855_kelvin_equals_illuminant_a():
-    """The CIE defines illuminant A with an older radiation constant c₂; with today's value it has 2855.5 K."""
+    """With today's radiation constant c₂, illuminant A has 2855.5 K. The CIE defined it by an older constant."""
     np.testing.assert_allclose(white(wd.Spectrum.blackbody(2855.5)), white("A"), rtol=2e-4)
 
 
@@ -50,7 +50,7 @@ def test_a_file_is_read_by_its_columns(tmp_path):
         np.testing.assert_allclose(white(spectrum), white(body), rtol=1e-3)
 
 
-def test_spectra_are_equal_by_their_numbers():
+def test_spectra_with_equal_numbers_are_equal():
     assert wd.Spectrum.blackbody(3000.0) == wd.Spectrum.blackbody(3000.0)
     assert hash(wd.Spectrum.blackbody(3000.0)) == hash(wd.Spectrum.blackbody(3000.0))
     assert wd.Spectrum.blackbody(3000.0) != wd.Spectrum.blackbody(3001.0)
@@ -118,7 +118,7 @@ def test_bad_spectra_are_refused(message):
         BAD[message]()
 
 
-def test_other_files_are_refused(tmp_path):
+def test_files_without_a_spectrum_are_refused(tmp_path):
     (tmp_path / "a.csv").write_text("nothing")
     with pytest.raises(ValueError, match=r"a\.csv must have two columns of numbers"):
         wd.Spectrum.from_csv(tmp_path / "a.csv")

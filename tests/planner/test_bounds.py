@@ -1,4 +1,4 @@
-"""Upper-bound plans meet the tolerance of calls too small for a search. Each tested call failed once."""
+"""Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it."""
 
 import math
 import warnings
@@ -18,7 +18,7 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 def ratio(heightfield, lights, views, tolerance, **options):
     """Return the error of a call divided by its tolerance."""
     with warnings.catch_warnings():
-        # Ignore warnings that the scalar model is invalid for such a surface.
+        # Ignore the warning that scalar diffraction is invalid for a deep surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         assert not wd.plan(heightfield, lights, views, tolerance=tolerance, **options).is_measured
     xyz = wd.reflectance(heightfield, lights, views, tolerance=tolerance, **options)
@@ -35,13 +35,16 @@ def line_grating(levels, period_um):
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
-def test_third_orders_of_a_shallow_sine(rng, tolerance):
-    """The power of third orders scales as κ⁶. At grazing views κ is small, and float32 powers are inaccurate."""
+def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
+    """The power of third orders is proportional to κ⁶, so it is tiny at grazing views, where κ is small.
+
+    Such powers are inaccurate in float32.
+    """
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
     lights = np.stack([x, np.sqrt(1.0 - x * x - z * z), z], axis=1)
     lights, views = np.repeat(lights, 2, axis=0)[:100], np.repeat(lights * [1.0, -1.0, 1.0], 2, axis=0)[:100]
-    # Two dark directions are added, which widen the range of κ.
+    # Two dark directions with a larger κ are added, so that the plan must cover a wide range of κ.
     lights[-2:], views[-2:] = [0.076, 0.064, 0.995], [-0.345, 0.588, 0.732]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     views /= np.linalg.norm(views, axis=1, keepdims=True)
@@ -49,16 +52,19 @@ def test_third_orders_of_a_shallow_sine(rng, tolerance):
 
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [(3.0, "HP2"), (5.5, "FL12")])
-def test_two_tall_levels_in_the_mirror_direction(rng, height_um, illuminant):
-    """The spectra of tall steps oscillate quickly, and the illuminant consists of narrow lines."""
+def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
+    """The spectra of tall steps oscillate quickly with the wavelength, and the illuminant consists of narrow lines."""
     heightfield = line_grating(np.repeat([height_um, 0.0], 32), 4.0)
     lights = hemisphere(rng, 40, 0.95)
     assert ratio(heightfield, lights, lights * [-1.0, -1.0, 1.0], 1e-4, illuminant=illuminant) <= 0.5
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
-def test_the_tail_of_the_lobe_around_a_mirrored_sun(rng, tolerance):
-    """All directions show only the tail of the mirror lobe, with at most a millionth of its peak reflectance."""
+def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tolerance):
+    """All directions are 5 to 7 standard deviations of the source away from the mirror direction.
+
+    Their reflectance is about a millionth of the peak or less.
+    """
     source = wd.Coherence("source")
     away, turn = rng.uniform(5.2, 7.2, 120) * source.spread, rng.uniform(0.0, 2.0 * math.pi, 120)
     views = np.stack([away * np.cos(turn), away * np.sin(turn), np.sqrt(1.0 - away**2)], axis=1)
@@ -67,8 +73,8 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun(rng, tolerance):
 
 
 @pytest.mark.parametrize("illuminant", ["FL11", "HP1"])
-def test_maps_under_illuminants_with_narrow_lines(illuminant):
-    """Diffraction orders can lie between the narrow lines of the illuminant."""
+def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
+    """Most directions of a map show diffraction orders at wavelengths between the narrow lines of the illuminant."""
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
     lights = np.broadcast_to([0.0, 0.0, 1.0], (200, 3))
@@ -82,7 +88,10 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """For Gaussian windows, the bandwidths of rate and height are proportional to tolerance^(−1/6)."""
+    """The bandwidth has a part for order rates, which scales with σ, a part for heights, and a constant part.
+
+    For Gaussian windows, the first two parts are proportional to tolerance^(−1/6).
+    """
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
     np.testing.assert_allclose(
@@ -92,7 +101,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicas, bandwidths are samples per order of the patch, proportional to tolerance^(−1/4).
+    # For replicas, the part for order rates is the number of samples per order of the patch. It is proportional to
+    # tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -100,18 +110,21 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
 
 def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
-    """Wavelengths of a source have equal ratios, which are furthest apart in 1/λ at 380 nm."""
+    """The wavelengths for a source have equal ratios, so their distance in 1/λ is largest at 380 nm.
+
+    There it must be as small as the distance for a window.
+    """
     source, window = wd.Coherence("source", angular_diameter_deg=3.0), wd.Coherence(sigma_um=5.0)
     of_source, of_window = (bounds.bandwidth_um(fingers, coherence, 1e-2) for coherence in (source, window))
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # A source and a window require the same number of samples per standard deviation of their Gaussians.
+    # A source and a window require the same number of samples per standard deviation of an order's Gaussian.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 
 
-def test_bounds_of_a_grazing_source_limit_the_order_rate_to_that_of_their_wavelengths(fingers):
+def test_bounds_of_a_grazing_source_limit_the_order_rate_to_what_the_most_wavelengths_resolve(fingers):
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     near, grazing = (DirectionRange(1.9, rate, 0.01, 1.2) for rate in (3.0, 1e4))
     plan = upper_bound(fingers, near, coherence=source)
@@ -120,7 +133,7 @@ def test_bounds_of_a_grazing_source_limit_the_order_rate_to_that_of_their_wavele
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # The predicted number of wavelengths includes one interval more than the set of wavelengths has.
+    # ``wavelength_count`` adds 1 to the number of intervals, so its result exceeds the limit of 16,384 by 1.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 
@@ -138,7 +151,10 @@ def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_erro
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """A patch with N periods has N lobes per order. Along the diagonal, lobes are closer by a factor of √2."""
+    """The interference of N periods has N lobes from one order of the patch to the next.
+
+    Along the diagonal of (u, v) the lobes are closer by a factor of √2.
+    """
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(
         fingers, DirectionRange(1.9, rate, 0.1, 2.0), coherence=wd.Coherence("replicas", periods=(60, 9))

@@ -20,7 +20,7 @@ STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """Return a plan with 32 terms whose other numbers exceed the requirements of the tolerance."""
+    """Return a plan from which searches start: 32 terms, and more neighbours and wavelengths than are required."""
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 
@@ -86,12 +86,12 @@ def exhaustive(trial, start, target):
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
-    """If the validation error exceeds the training error, the plan is refined by one or two steps."""
+    """With a factor of 2.5, the validation error exceeds the training error, so the search refines its plan again."""
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Searches over 4 and 9 steps, and three searches over 13 steps, evaluate at most 20 plans in total.
+    # Bisection over 4 numbers of terms, 9 neighbourhoods and three times 13 bandwidths tries at most 20 plans in total.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -152,7 +152,7 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """Adding one term is cheaper than adding one per cent of the wavelengths."""
+    """The two possible steps add one term or one of 100 wavelengths. The step that adds a term is cheaper."""
     plan = dataclasses.replace(start, terms=9, wavelengths=100, adaptive=False)
     replace = dataclasses.replace
     coordinates = [
@@ -178,7 +178,10 @@ def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_erro
 def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
     start, error, bright, predicted
 ):
-    """The safety factor is 1.6 if all directions were tried, else up to 2. The result is at least tolerance/10."""
+    """The predicted error is the measured one times 1.6 if all directions of the call were tried, else times up to 2.
+
+    It is at least a tenth of the tolerance.
+    """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
 
@@ -194,7 +197,7 @@ def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
 def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
-    """A series of amplitudes replaces the series of powers only if its error is less than half as large."""
+    """A series of amplitudes replaces a basis of powers only if its error is less than half as large."""
     trial = SimpleNamespace(integrates=False, reference=dataclasses.replace(start, method="jacobi-anger", terms=40))
     trial.order_rate = trial.w = np.ones(1)
     trial.training_error = lambda plan: of_amplitudes if plan.method == "jacobi-anger" else 1.0
@@ -223,8 +226,12 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
     assert coordinate_search._sufficient(start, trial, TARGET, automatic=True) == (start, TARGET)
 
 
-def test_a_smaller_bandwidth_allows_larger_order_rates_with_the_same_number_of_wavelengths(fingers):
-    """The wavelengths of a grazing source are limited in number, but suffice for the order rates of the call."""
+def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
+    """Halve the bandwidth of a plan for a source whose number of wavelengths is limited.
+
+    If the call has order rates beyond the plan, the same wavelengths then serve larger order rates. Otherwise fewer
+    wavelengths suffice.
+    """
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
     count = cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w)
@@ -253,7 +260,10 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Bandwidths are whole quarter octaves away from those for a tolerance of 0.01, and weights are powers of e."""
+    """Searches round bandwidths to quarter octaves from those for a tolerance of 0.01, and weights to powers of e.
+
+    Plans for all tolerances are then on the same grid.
+    """
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
     ]
@@ -269,12 +279,15 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """With few bright directions, terms get a tenth of their error budget, and the neighbourhood stays unchanged."""
+    """The budgets are the errors up to which the search may reduce one number of the plan after another.
+
+    With few bright directions, terms get a tenth of their share, and the neighbourhood is not reduced.
+    """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
-    # Largest numbers of steps: 3 of 4 registers of terms, 8 factors of e up to a weight of 1e-5, and 12 quarter
-    # octaves.
+    # Largest numbers of steps by which a search may reduce a plan: 3 of its 4 registers of terms, 8 factors of e in the
+    # least weight (up to 1e-5), and 12 quarter octaves of each part of the bandwidth.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -13,7 +13,7 @@ from warpdiff.tables import mip_layout
 
 
 def sampling(heightfield, plan, **changes):
-    """Return the cost of one direction for a plan that always uses all its wavelengths."""
+    """Return the cost of one direction if the plan uses all its wavelengths for it (``adaptive=False``)."""
     plan = dataclasses.replace(plan, adaptive=False, **changes)
     return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
 
@@ -34,7 +34,7 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # The neighbourhood is an ellipse, whose axes are proportional to the square root of the exponent.
+    # The neighbourhood is an ellipse, whose axes are proportional to the square root of −ln(least_weight).
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -54,8 +54,11 @@ def table_plan(heightfield, coherence, method="low-rank"):
     return dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=1.3)
 
 
-def test_samples_of_a_tables_spectrum_cost_as_many_terms_as_lie_within_the_radius_of_neighbours(fingers):
-    """Neighbours have a weight exp(−4π²σ²q²) of at least the least weight: a circle with one coefficient per 1/area."""
+def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
+    """Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``.
+
+    The number of neighbours is the area of this circle times the area of the patch.
+    """
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [
         cost_model.table_multiply_adds(fingers, dataclasses.replace(plan, terms=terms, least_weight=math.exp(-n)))
@@ -78,7 +81,7 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
-    # The number of lines in a table is twice the number of coefficients within a circle.
+    # The number of lines in a table is twice the number of coefficients whose frequency is at most ``highest``.
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
@@ -87,7 +90,10 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
 
 
 def test_directions_cost_as_many_wavelengths_as_they_require():
-    """The sizes of wavelength sets are geometric steps. A direction uses on average half a step more than required."""
+    """The sizes of wavelength sets increase in steps of a factor 2^(1/4).
+
+    On average a direction uses a set that is half a step, a factor 2^(1/8), larger than required.
+    """
     heightfield = noise((6, 16))
     plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
     plan = dataclasses.replace(plan, wavelengths=400, bandwidth_um=(200.0, 20.0, 10.0))
@@ -101,7 +107,10 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 
 
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
-    """The number of neighbours is the product of 2 · radius · length over both axes, except for one-sample axes."""
+    """The number of neighbours is the product of 2 · radius · length over all axes with more than one sample.
+
+    The radius is that of the neighbourhood in 1/µm, and the length is that of the patch.
+    """
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
     radius = math.sqrt(-math.log(plan.least_weight)) / (2.0 * math.pi * plan.coherence.sigma_um)

@@ -9,8 +9,11 @@ from warpdiff.planner import refusals
 
 
 @pytest.mark.parametrize(("extent", "supported"), [((100, 99), True), ((100, 100), False)])
-def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, extent, supported):
-    """A neighbourhood of 201 × 199 coefficients is within the limit of 40,000, and one of 201 × 201 exceeds it."""
+def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, monkeypatch, extent, supported):
+    """Extents of 100 and 99 to either side give 201 × 199 coefficients, which is within the limit of 40,000.
+
+    A neighbourhood of 201 × 201 coefficients exceeds the limit.
+    """
     monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
     plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
     if supported:
@@ -30,7 +33,11 @@ def test_a_neighbourhood_has_both_sides_and_its_middle(fingers, monkeypatch, ext
     ids=["a window between samples", "a direct sum", "all windows"],
 )
 def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
-    """With a pitch of 0.25 µm, |(u, v)| at 0.4 µm is limited to 0.8 − 0.4 µm · (neighbourhood radius in 1/µm)."""
+    """|(u, v)| is limited to the highest supported frequency times the wavelength.
+
+    This frequency is the Nyquist frequency, 2/µm for a pitch of 0.25 µm. For windows centred between samples, it is
+    lower by the radius of the neighbourhood.
+    """
     heightfield = wd.HeightField([[0.0, 0.1, 0.2, 0.1]], pitch_um=0.25)
     monkeypatch.setattr(refusals.coefficient_table, "radius", lambda _plan: 0.5)
     plan = SimpleNamespace(coherence=coherence, method=method)

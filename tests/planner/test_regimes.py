@@ -1,4 +1,4 @@
-"""Automatic plans in regimes where other methods fail: each result meets the tolerance or is refused with a reason."""
+"""Automatic plans in ranges where other methods fail: each result meets the tolerance or is refused with a reason."""
 
 import math
 
@@ -45,7 +45,8 @@ class Case:
         return self.error_of(rho @ weights)
 
 
-# Regime of coherence windows: short ones need many neighbours; long ones have orders narrower than wavelength steps.
+# Tests over the size of coherence windows. Short windows need many neighbours. Under long windows, orders are narrower
+# than wavelength steps of 1 nm.
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +56,11 @@ def line():
 
 @pytest.mark.parametrize("sigma", [1.0, 20.0, 400.0])
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
-def test_automatic_choice_over_windows(line, kind, sigma):
+def test_automatic_plans_meet_the_tolerance_for_all_windows(line, kind, sigma):
     assert Case(line, methods.in_plane(32, 1.8), wd.Coherence(kind, sigma)).automatic <= TOLERANCE
 
 
-def test_other_methods_fail_for_some_windows(line):
+def test_fixed_neighbours_and_wavelength_steps_fail_for_some_windows(line):
     directions = methods.in_plane(48, 1.8)
     short, middle, long = (Case(line, directions, wd.Coherence(sigma_um=sigma)) for sigma in (3.0, 10.0, 100.0))
     assert short.neighbours() > 0.1
@@ -69,7 +70,7 @@ def test_other_methods_fail_for_some_windows(line):
     assert long.fixed_steps(1.0) > 0.1
 
 
-def test_windows_that_are_too_long_are_refused_with_the_remedy(line):
+def test_windows_that_are_too_short_or_too_long_are_refused_with_the_remedy(line):
     up = [0.0, 0.0, 1.0]
     with pytest.raises(ValueError, match=r"sigma_um=0\.01 is too short.* crop the height field"):
         wd.reflectance(wd.gratings.fingers(), up, [0.5, 0.0, 0.8], coherence=wd.Coherence(sigma_um=0.01))
@@ -78,16 +79,17 @@ def test_windows_that_are_too_long_are_refused_with_the_remedy(line):
         wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
 
 
-# Regime of patch sizes: orders of large patches are too close for 9 neighbours; all patches need over 81 wavelengths.
+# Tests over the size of patches. The orders of large patches are so close that 3 × 3 neighbours do not suffice. For all
+# patches, 81 wavelengths (steps of 5 nm) are too few.
 
 
 @pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
-def test_automatic_choice_over_patches(size):
+def test_automatic_plans_meet_the_tolerance_for_all_patch_sizes(size):
     heightfield = wd.gratings.fingers(size_um=size, pitch_um=0.09, length_um=min(3.0, size), seed=4)
     assert Case(heightfield, methods.hemisphere_pairs(32, 0.4)).automatic <= TOLERANCE
 
 
-def test_other_methods_fail_for_some_patch_sizes():
+def test_fixed_neighbours_and_wavelength_steps_fail_for_some_patch_sizes():
     usual = Case(wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), methods.hemisphere_pairs(24))
     assert usual.fixed_steps(5.0) > 0.1
     assert usual.fixed_steps(1.0) < TOLERANCE
@@ -105,7 +107,7 @@ def test_other_methods_fail_for_some_patch_sizes():
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])
-def test_automatic_choice_over_scattering_vectors(uv):
+def test_automatic_plans_meet_the_tolerance_for_all_scattering_vectors(uv):
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=4)
     case = Case(heightfield, methods.with_lateral(64, uv, seed=1))
     assert case.automatic <= TOLERANCE
@@ -117,12 +119,12 @@ def test_automatic_choice_over_scattering_vectors(uv):
         assert case.fixed_steps(5.0) > 0.1
 
 
-# Regime of grazing directions: 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
+# Tests of grazing directions. There 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
 
 
 @pytest.mark.parametrize("elevation", [0.1, 1.0, 10.0])
 @pytest.mark.parametrize("spread", [0.1, None])
-def test_automatic_choice_towards_the_horizon(elevation, spread):
+def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, spread):
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=4)
     case = Case(heightfield, methods.at_elevation(48, elevation, spread))
     assert case.automatic <= TOLERANCE
@@ -133,11 +135,11 @@ def test_automatic_choice_towards_the_horizon(elevation, spread):
 
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
-def test_a_mirror_far_brighter_than_the_visible_directions(count, seed):
-    """The visible directions have a millionth of the mirror's reflectance, and must not contain its Gaussian tail.
+def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
+    """All directions have about a millionth of the reflectance in the mirror direction, whose lobe must not reach them.
 
-    The series of powers cancels there, too. Calls with few directions must replace this series although they skip the
-    search.
+    The terms of a series of powers cancel in such directions. Calls with few directions, which skip the search, must
+    replace this series, too.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -145,7 +147,7 @@ def test_a_mirror_far_brighter_than_the_visible_directions(count, seed):
 
 @pytest.mark.parametrize("elevation", [0.1, 0.5, 3.0, 30.0])
 @pytest.mark.parametrize("spread", [0.1, None])
-def test_sources_towards_the_horizon(elevation, spread):
+def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, spread):
     heightfield, source = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(48, elevation, spread)
     wavelengths = np.linspace(0.38, 0.78, 41)
@@ -157,8 +159,8 @@ def test_sources_towards_the_horizon(elevation, spread):
 
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
-def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
-    """The source is foreshortened more than 100 times. Widened bounds are compared with a finer reference."""
+def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
+    """Half a degree above the horizon or less, a source is foreshortened more than 100 times."""
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
         Case(heightfield, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic
@@ -167,8 +169,8 @@ def test_colours_of_a_source_at_the_horizon(elevation, count, seed):
 
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
-def test_a_source_that_grazes_beyond_reach_is_refused(count):
-    """The source is foreshortened 1000 times and may require too many wavelengths. The result is correct or refused."""
+def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
+    """At 0.2° above the horizon, a source may require more wavelengths than a plan can have."""
     heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(count, 0.2)
     xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, coherence=source)
@@ -180,7 +182,7 @@ def test_a_source_that_grazes_beyond_reach_is_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# Regime of pitch: a reference on the same samples cannot detect aliasing, so the test uses a closed form.
+# Tests over the pitch. A reference computed from the same samples has the same aliasing, so tests use a closed form.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
@@ -198,7 +200,7 @@ def sine_colour(lights, views):
     return reference.gain(lights, views)[:, None] * rho @ weights
 
 
-def test_pitches_around_their_limit():
+def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
@@ -208,7 +210,7 @@ def test_pitches_around_their_limit():
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The result equals a reference on the same samples, although both are wrong by aliasing.
+        # The result equals a reference computed from the same samples, although both are wrong by aliasing.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
@@ -222,8 +224,8 @@ def test_pitches_around_their_limit():
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
-def test_a_window_between_samples_close_to_the_limit(seed, side):
-    """Beyond the Nyquist limit coefficients repeat, with other phases if the window is between samples."""
+def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
+    """Coefficients repeat beyond the Nyquist limit. For a window centred between samples, their phases are wrong."""
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
     arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0
@@ -232,12 +234,13 @@ def test_a_window_between_samples_close_to_the_limit(seed, side):
     assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
 
 
-# Regime of replicas: near a resonance the published form loses all digits, as do float32 sines of large arguments.
+# Tests of replicas near a resonance, where periods interfere constructively. There the published ratio of sines loses
+# all digits, as do float32 sines of large arguments.
 
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])
 @pytest.mark.parametrize("away", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 0.0])
-def test_replicated_periods_near_resonance(periods, away):
+def test_replicated_periods_near_resonance_are_accurate(periods, away):
     heightfield, wavelength = methods.finger_rows(6.4, pitch_um=0.08), np.array([0.5])
     coherence = wd.Coherence("replicas", periods=(1, periods))
     lights, views = methods.near_resonance(heightfield, away, 0.5)
@@ -265,7 +268,7 @@ def test_replicated_periods_near_resonance(periods, away):
         assert plain > 0.1
 
 
-def test_the_published_form_of_replicated_periods():
+def test_the_published_form_of_replicated_periods_fails_in_float32():
     """In float32 the published ratio of sines has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (

@@ -70,7 +70,10 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
-    """A search costs as much as 16,000 directions of its plan. Each direction then saves ``saving`` − 1 such costs."""
+    """A search costs as much as evaluating 16,000 directions with the plan that it finds.
+
+    Evaluating a direction with the upper-bound plan costs ``saving`` times as much as with that plan.
+    """
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
     count = 16_000.0 / (saving - 1.0)
@@ -89,7 +92,10 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """A table may cost what it saves in three calls, compared with a search, which costs 16,000 directions."""
+    """A table may cost as much as it saves in three calls.
+
+    Without a table, a search would be made, which costs as much as 16,000 directions of its plan.
+    """
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
     bounded = wd.plan(fingers, at_angle(0.0), at_angle(30.0), coherence=settings.coherence, tolerance=1e-1)
@@ -125,7 +131,7 @@ def test_an_explicit_integration_selects_the_low_rank_basis_unless_a_method_is_g
         assert plan.method == expected
 
 
-def test_the_plan_that_finds_bright_directions_has_one_register_of_terms_and_half_of_the_wavelengths(
+def test_the_coarse_plan_that_finds_bright_directions_has_8_terms_and_half_of_the_wavelengths(
     request_of_fingers,
 ):
     direction_range, _, _ = strategy.directions_of(request_of_fingers)
@@ -179,7 +185,7 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("averaged", 1.0), ("centred", 16.0)])
-def test_pixels_with_footprints_but_without_a_table_have_many_rays(fingers, monkeypatch, kind, factor):
+def test_a_pixel_that_cannot_use_footprints_counts_as_16_directions(fingers, monkeypatch, kind, factor):
     coherence = wd.Coherence(kind, 3.25)
     request = Evaluation.of(fingers, PlanSettings(coherence=coherence), illuminants=("D65",), footprint=True)
     counts = []

@@ -13,7 +13,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size, in rings per octave, that the search tries first at this tolerance.
+# Table size, in rings per octave, that the search tries first at ``TOLERANCE``.
 FIRST = 48
 
 
@@ -27,8 +27,8 @@ def plan(fingers):
 class Tables:
     """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
-    Tables meet the target from ``sufficient`` rings per octave on. Sampled plans have an error that depends on their
-    terms.
+    Tables meet the target from ``sufficient`` rings per octave on. For plans without a table, the function ``sampled``
+    gives the error of a number of terms.
     """
 
     validation_set = range(5)
@@ -108,7 +108,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs a table gets the largest one that it can afford.
+    # A call that needs a table gets the largest one whose cost is at most ``affordable``.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
@@ -124,7 +124,7 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 
 @pytest.mark.parametrize(("richer", "expected"), [(0.6, (64, 12)), (0.8, None)])
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
-    """If more basis functions of w do not reduce the error either, the search for a table ends."""
+    """If more rings do not reduce the error, more basis functions of w are tried. If these fail, the search ends."""
     trial = Tables(fingers, plan, law=lambda table: 1.5 * TARGET * (richer if table.w_basis_size > 8 else 1.0))
     table = trial.smallest()
     assert (table and (table.rings_per_octave, table.w_basis_size)) == expected
@@ -133,7 +133,7 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """If more rings reduce the error by less than expected, the number of basis functions of w is the limit."""
+    """Doubling the rings should divide the error by 4. If it does not, basis functions of w are the limit."""
     law = {(48, 8): 2.9, (96, 8): 1.6, (96, 12): 0.9}
     trial = Tables(fingers, plan, law=lambda table: TARGET * law[table.rings_per_octave, table.w_basis_size])
     table = trial.smallest()
@@ -148,8 +148,8 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
     assert (table.rings_per_octave, table.w_basis_size) == (128, 12)
 
 
-def test_the_fewest_terms_within_half_of_the_target_follow_from_the_residuals(fingers, plan):
-    """With 8 terms the error equals the target. Four more terms divide the error by 10, and two more by 3.2."""
+def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
+    """With 8 terms the measured error equals the target. By the residuals of the basis, two terms divide it by 3.2."""
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
     table = trial.smallest()
@@ -161,7 +161,11 @@ def test_the_fewest_terms_within_half_of_the_target_follow_from_the_residuals(fi
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """Sampling is tried once with more terms. If the terms explain half of a table's error, the table is made again."""
+    """The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried.
+
+    If the error of that plan exceeds half of the target, terms are added. If it is at least half of the table's error,
+    a table of the same size is made again.
+    """
 
     def law(table):
         return TARGET * (1.5 if table.terms == 10 and table.rings_per_octave == FIRST else 0.5)

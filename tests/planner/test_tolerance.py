@@ -1,4 +1,7 @@
-"""Tolerance on directions that the plan has not used: calls of ``tolerance_sweep``, and calls that failed once."""
+"""Errors on directions that the plan has not used are within the tolerance.
+
+The tested calls are some of those of the benchmark ``tolerance_sweep``, and calls that exceeded the tolerance once.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from bench import inputs
 from bench.truth import judge
 from bench.truth.configurations import STRATA, Configuration, configuration, diagonal
 
-# Seed and indices of the tested calls, whose references are cheap. ``tolerance_sweep`` also has large calls.
+# Seed and indices of the tested calls. Large calls, whose references are expensive, are tested by ``tolerance_sweep``.
 SEED = 11
 LISTS = [slow(k) if k in {6, 11, 12, 13, 22, 23, 26} else k for k in range(len(STRATA))]
 UP = np.array([0.0, 0.0, 1.0])
@@ -22,7 +25,10 @@ def scan_or_none() -> wd.HeightField | None:
 
 
 def check(case: Configuration, count: int = 400) -> None:
-    """Compare a call with the reference on some directions; in large calls, on directions that the plan did not use."""
+    """Check that the error of a call is within its tolerance on ``count`` of its directions.
+
+    In large calls the plan has used none of these directions.
+    """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
     # The chosen directions are sorted by brightness, the brightest first.
@@ -45,9 +51,9 @@ def test_tolerance_is_met(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
 
 
-# The two cases cover both diagonals and both tolerances.
+# The ridges of the surface are along one diagonal or, mirrored, along the other.
 @pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
-def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
+def test_a_plan_for_a_grid_of_directions_does_not_use_only_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
     heightfield = diagonal(rng, wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4))
     if mirrored:
@@ -64,11 +70,11 @@ def test_a_grid_of_512_rows_is_not_planned_on_its_diagonal(mirrored, tolerance):
      (wd.gratings.lamellar(1.5, 0.1375), 70, 1e-2), (wd.gratings.blazed(0.562, 0.339), 70, 1e-3)],
     ids=["blazed, tight", "blazed, default", "lamellar, small", "blazed, short"],
 )  # fmt: skip
-def test_maps_of_one_dimensional_gratings(heightfield, size, tolerance):
+def test_maps_of_one_dimensional_gratings_meet_the_tolerance(heightfield, size, tolerance):
     check(call(heightfield, tolerance, to_light=UP, size=size))
 
 
-def test_grazing_directions():
+def test_grazing_directions_meet_the_tolerance():
     rng = np.random.default_rng(6)
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=1)
     z, phi = rng.uniform(0.02, 0.2, (2, 160)), rng.uniform(0.0, 2.0 * np.pi, (2, 160))
@@ -82,7 +88,7 @@ def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """A sine reflects no light between its orders. The few directions at an order must be accurate."""
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
-    # Most directions are across the grating and dark; a few are near its first order.
+    # The grating diffracts into the xz-plane. Most views are in the yz-plane and dark; a few are near the first order.
     views = np.array([at_angle(angle) for angle in angles])[:, [1, 0, 2]]
     views[rng.permutation(len(views))[:bright]] = at_angle(-16.0) + 0.001 * rng.normal(size=(bright, 3))
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -116,7 +122,7 @@ def test_a_configuration_follows_from_its_index_and_seed():
     assert str(configuration(33)) != str(configuration(33, seed=1))
 
 
-def test_the_figure_includes_errors_of_one_per_cent_of_the_directions_and_of_the_bright_ones(rng):
+def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright_directions(rng):
     exact = rng.uniform(0.5, 1.0, (5000, 3)) * np.where(np.arange(5000) < 500, 1.0, 1e-5)[:, None]
     wrong = np.array(exact)
     wrong[4900:] += 1e-4

@@ -167,7 +167,10 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 
 
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
-    """The maximum over wavelengths and the lowest floor select the sets. The minimum would select others."""
+    """The trial draws its sets of directions by the maximum of each spectrum and by the lowest floor.
+
+    Minima of the spectra, or other floors, would select other directions.
+    """
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
     wavelengths = np.array([400.0, 700.0])
@@ -202,6 +205,7 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # In a call of this size all directions are candidates, so there is only one luminance floor.
+    # In a call of this size all directions are candidates. The second luminance floor, which excludes the brightest
+    # candidates as outliers, exists only in larger calls.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

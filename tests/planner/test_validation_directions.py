@@ -9,7 +9,7 @@ from warpdiff.planner import validation_directions
 from warpdiff.request.directions import DirectionRange, DirectionSample
 
 
-def test_either_set_represents_all_candidates(rng):
+def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
     lights, views = hemisphere(rng, 1000), hemisphere(rng, 1000)
     candidates = DirectionSample(-lights - views, lights, rng.uniform(0.1, 1.0, 1000), np.full(1000, 7.0))
     luminance = rng.lognormal(0.0, 2.0, 1000)
@@ -23,13 +23,14 @@ def test_either_set_represents_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # Uniform, bright and edge-case directions have shares of 1, 1 and 1/4. A fifth of the first two are edge cases.
+        # The numbers of directions drawn uniformly, by brightness and from the edge cases have the ratio 1 : 1 : 1/4. A
+        # fifth of the directions of the first two kinds are edge cases, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
 
 @pytest.mark.parametrize("count", [100, 300, 384])
-def test_few_candidates_are_all_validation_directions(count, rng):
+def test_a_few_candidates_are_all_in_the_validation_set(count, rng):
     lights = hemisphere(rng, count)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(count), np.ones(count))
     training, validation = validation_directions.sampled(candidates, np.zeros(count, dtype=bool), lights[:, 2], 1.0)
@@ -38,12 +39,13 @@ def test_few_candidates_are_all_validation_directions(count, rng):
     assert training.weights.sum() == pytest.approx(count, rel=0.2)
 
 
-def test_directions_with_a_large_measure_are_drawn_only_once_and_other_directions_replace_repeats(rng):
+def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
     """The weight of a drawn direction is its original weight divided by the probability that it is drawn."""
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
-    # Among 100 draws, the first ten directions and the direction with a measure of 50 are always included.
+    # Directions are drawn with probabilities proportional to ``measure``. Of 100 draws, the first eleven directions are
+    # always part.
     measure[:10], measure[10] = 1e3, 50.0
     drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
     index = {tuple(light): k for k, light in enumerate(lights)}

@@ -25,7 +25,7 @@ def efficiency(heightfield, order_index, kappa):
 
 
 @pytest.mark.parametrize("name", GRATINGS)
-def test_peak_angles(name):
+def test_peaks_are_at_the_angles_of_the_grating_equation(name):
     heightfield, period = GRATINGS[name]
     if period is None:
         period = heightfield.size_um[1]

@@ -23,7 +23,7 @@ def rough():
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "replicas"])
 def test_absolute_brdf_is_reciprocal(rough, kind, rng):
-    """The coherence model "source" is excluded: the light has an extent and the viewer has none."""
+    """The coherence model "source" is not reciprocal, because its light has an extent and the viewer has none."""
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-4}
     there = wd.brdf(rough, lights, views, [450.0, 600.0], **options)
@@ -41,7 +41,7 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
 
 
 def kernel_gain(lights, views, normal, masking, device):
-    """Return the gain C·M as the kernel for pixels computes it, with a separate light for each pixel."""
+    """Return the gains C·M of pairs of directions, computed by the kernel for pixels with one light per pixel."""
     reflection = light_samples.Reflection()
     reflection.normal_reflectance, reflection.masking = normal, masking
     count = len(lights)
@@ -68,7 +68,7 @@ def kernel_gain(lights, views, normal, masking, device):
 
 
 def power_width(coherence):
-    """Return the standard deviation in 1/µm of the Gaussian over which the power of a coefficient is spread."""
+    """Return the standard deviation [1/µm] of the Gaussian over which a window spreads the power of a coefficient."""
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
@@ -107,7 +107,7 @@ def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
 
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])
-def test_powers_do_not_depend_on_the_position(rough, kind, rng):
+def test_powers_do_not_depend_on_the_position_of_the_patch(rough, kind, rng):
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
     shifted = wd.HeightField(np.roll(rough.heights_um, (17, -29), axis=(0, 1)), rough.pitch_um)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-4}
@@ -118,7 +118,7 @@ def test_powers_do_not_depend_on_the_position(rough, kind, rng):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
-    """Quarter turns map (x, y) to (−y, x), about the central sample of a patch with an odd number of samples."""
+    """Each quarter turn maps (x, y) to (−y, x). It is about the central sample of the patch of 61 × 61 samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
     heightfield = wd.HeightField(heights, 0.08)
     # Rows of a height field run along +y, so a quarter turn from x to y is ``numpy.rot90`` with −1.
@@ -134,9 +134,9 @@ def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
 
 
 def projected_disc(centre, radius, count):
-    """Return view directions and dω cos θr around (x, y = 0) on the projected disc, above the horizon.
+    """Return view directions around (``centre``, 0) on the projected unit disc, and their weights dω cos θr.
 
-    Substituting the angle θ for the radius removes the factor 1/cos θr from the integrand.
+    The quadrature along x is in the angle θ, which removes the factor 1/cos θr from the integrand.
     """
     nodes, weights = np.polynomial.legendre.leggauss(count)
     low = math.asin(max(0.0, centre - radius)) if centre - radius > 0.0 else -math.asin(min(1.0, radius - centre))
@@ -154,11 +154,10 @@ def projected_disc(centre, radius, count):
 @pytest.mark.parametrize("sigma_um", [3.25, 8.0, 16.25])
 @pytest.mark.parametrize("theta_deg", [0.0, 30.0, 60.0, 75.0])
 def test_flat_mirror_reflects_all(sigma_um, theta_deg):
-    """Check that ∫ BRDF cos θr dω = R.
+    """Check that ∫ BRDF cos θr dω = 1 within 1 %.
 
-    At 75° the lobe of the shortest window extends to the horizon. In this case the formula itself gives 1.007 at 550
-    nm,
-    1.017 at 450 nm and 0.957 at 780 nm, and 1.06 with Fresnel reflectance.
+    At 75° the lobe of the shortest window extends to the horizon, where the formula of the BRDF itself is inexact. Its
+    integral is 1.007 at the tested wavelength of 550 nm, but 1.017 at 450 nm and 0.957 at 780 nm.
     """
     assert mirror_power(sigma_um, theta_deg, math.inf) == pytest.approx(1.0, rel=1e-2)
 
@@ -181,9 +180,10 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_excess_energy_of_a_shallow_sine(period_um):
-    """The excess energy of scalar theory is (2πa/λ)² (1 − c)²/(2c), with the cosine c of the first order.
+    """A sine with amplitude a reflects more than all light by (2πa/λ)² (1 − c)²/(2c), an error of scalar theory.
 
-    The excess is a millionth of the light. Measuring it requires float64, a shallow profile and narrow lobes.
+    Here c is the cosine of the first order. The excess is a millionth of the light. Measuring it requires float64, a
+    shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength
@@ -205,7 +205,10 @@ def test_excess_energy_of_a_shallow_sine(period_um):
 @pytest.mark.parametrize("method", ["auto", "direct"])
 @pytest.mark.parametrize("cycles", [1, -1])
 def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
-    """The plane h = x·tan 5° reflects normal incidence to θr = −10°. The field is periodic if κH is an integer."""
+    """The plane h = x·tan 5° reflects normal incidence to θr = −10°.
+
+    It is repeated as a sawtooth. Its height H is such that κH is an integer, so phases are continuous at the edges.
+    """
     wavelength, slope = 0.5, math.copysign(math.tan(math.radians(5.0)), cycles)
     w = 1.0 + math.cos(math.radians(10.0))
     period = cycles * wavelength / (w * slope)
@@ -253,7 +256,7 @@ def test_nothing_is_negative_or_unbounded_over_the_sphere(rough, kind, rng):
 
 
 @pytest.mark.parametrize("shape", [(3,), (1, 3), (5, 3)])
-def test_single_in_single_out(rough, shape, rng):
+def test_results_have_the_leading_axes_of_the_directions(rough, shape, rng):
     views = np.broadcast_to(hemisphere(rng, 1)[0], shape)
     light = (0.0, 0.3, 1.0)
     leading = () if shape == (3,) else shape[:1]
@@ -264,7 +267,7 @@ def test_single_in_single_out(rough, shape, rng):
 
 
 @pytest.mark.parametrize("method", ["auto", "direct"])
-def test_no_directions_are_no_work(rough, method):
+def test_calls_without_directions_return_empty_arrays(rough, method):
     none = np.zeros((0, 3))
     assert wd.reflectance(rough, (0, 0, 1), none, method=method).shape == (0, 3)
     assert wd.spectral_reflectance(rough, none, none, [400.0, 500.0], method=method).shape == (0, 2)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 import warpdiff as wd
 from bench.truth.numpy_methods import outcome
 
-# The examples are derandomised, so that a failure occurs on every machine.
+# The random examples of Hypothesis have a fixed seed, so that a failure occurs on every machine.
 SETTINGS = settings(
     derandomize=True, deadline=None, max_examples=25, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
-# Parts of the messages of allowed refusals: no table supports the light, or the tolerance cannot be met.
+# Parts of the error messages with which a random call may be refused. Any other error fails the test.
 REFUSALS = ("crop the height field", "heights are in µm", "so fine that a colour requires", "cannot meet tolerance")
 
 
@@ -25,7 +25,8 @@ def log_uniform(low, high):
 def height_fields(draw):
     """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Each number of terms compiles another kernel. Higher fields are tested in tests/planner/test_regimes.py.
+    Higher fields require more terms, and each number of terms compiles another kernel. They are tested in
+    tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
         st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
@@ -83,7 +84,7 @@ def nearly(a, b):
 
 @SETTINGS
 @given(st.data())
-def test_spectra_are_numbers(data):
+def test_spectra_are_finite_and_not_negative(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     count = data.draw(st.sampled_from([1, 3, 20]))
     lights, views = data.draw(vectors(count)), data.draw(vectors(count))
@@ -103,7 +104,7 @@ def test_spectra_are_numbers(data):
 
 @SETTINGS
 @given(st.data())
-def test_every_method_gives_numbers(data):
+def test_every_method_gives_finite_values(data):
     heightfield, coherence = data.draw(height_fields()), data.draw(coherences)
     methods = ["low-rank", "jacobi-anger", "taylor", "taylor-uncentred"] + ["power"] * coherence.adds_powers
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
@@ -116,7 +117,7 @@ def test_every_method_gives_numbers(data):
 
 @settings(SETTINGS, max_examples=15)
 @given(st.data())
-def test_colours_are_numbers(data):
+def test_colours_are_finite_and_not_negative(data):
     heightfield, coherence = data.draw(height_fields()), data.draw(coherences)
     count = data.draw(st.sampled_from([1, 3, 20]))
     xyz = computed(
@@ -177,15 +178,14 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     # Mirroring x → −x keeps the first sample in place.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
-        # The window is centred on a sample, because otherwise coefficients beyond the Nyquist limit differ in phase.
+        # The window is centred on a sample. Otherwise mirroring would change phases beyond the Nyquist limit.
         centre = tuple((n // 3) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True))
         coherence = wd.Coherence("centred", coherence.sigma_um, centre_um=centre)
         mirrored = wd.Coherence("centred", coherence.sigma_um, centre_um=(centre[0], -centre[1]))
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # Replicas consist of whole periods, so the mirrored patch begins with another sample, which changes only the
-        # phase.
+        # Replicas consist of whole periods, which mirroring moves by one sample. This changes only the phase.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

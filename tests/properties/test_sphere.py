@@ -37,7 +37,7 @@ def sphere():
 
 
 def pairs():
-    """Return all pairs of the unit vectors, including opposite, mirrored and equal ones."""
+    """Return all pairs of the unit vectors of ``sphere``. Pairs of opposite and of mirrored vectors are added."""
     one = sphere()
     lights, views = (np.array(each) for each in zip(*itertools.product(one, one), strict=True))
     return np.concatenate([lights, one, one]), np.concatenate([views, -one, one * [-1.0, -1.0, 1.0]])
@@ -57,7 +57,7 @@ def check(values, lights, views):
 
 
 @pytest.mark.parametrize(("name", "method"), CASES)
-def test_spectra(rough, name, method):
+def test_spectra_are_finite_and_not_negative_over_the_sphere(rough, name, method):
     lights, views = pairs()
     rho = best_effort(
         wd.spectral_reflectance, rough, lights, views, [380.0, 555.0, 780.0], coherence=COHERENCES[name], method=method
@@ -69,7 +69,7 @@ def test_spectra(rough, name, method):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["averaged, short", "averaged, long", "centred", "source", "periods"])
 @pytest.mark.parametrize("nanometres", [100.0, 10_000.0])
-def test_absolute_values_at_extreme_wavelengths(rough, name, nanometres):
+def test_the_brdf_at_extreme_wavelengths_is_finite_and_not_negative(rough, name, nanometres):
     lights, views = pairs()
     values = best_effort(wd.brdf, rough, lights, views, nanometres, coherence=COHERENCES[name])
     check(values, lights, views)
@@ -79,7 +79,7 @@ def test_absolute_values_at_extreme_wavelengths(rough, name, nanometres):
     ("name", "method"),
     [("averaged", "taylor-uncentred"), ("periods", "taylor"), *((name, "auto") for name in COHERENCES)],
 )
-def test_colours(rough, name, method):
+def test_colours_are_finite_and_not_negative_over_the_sphere(rough, name, method):
     lights, views = pairs()
     few = slice(None, None, 11)
     # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
@@ -98,8 +98,11 @@ def test_colours(rough, name, method):
     [("averaged", "taylor"), ("averaged", "taylor-uncentred"), ("averaged", "jacobi-anger"), ("averaged", "power")]
     + [(name, "auto") for name in COHERENCES],
 )
-def test_a_deep_surface(name, method):
-    """With a height range of 5 µm, Taylor series are computed only on request, and float32 overflows."""
+def test_spectra_of_a_deep_surface_are_finite_and_not_negative(name, method):
+    """At a height range of 5 µm, float32 overflows in Taylor series, which calls use only if ``method`` selects them.
+
+    Values must be finite nevertheless.
+    """
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())
     rho = best_effort(
@@ -110,14 +113,14 @@ def test_a_deep_surface(name, method):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2)])
 @pytest.mark.parametrize("name", ["averaged", "centred", "source", "periods"])
-def test_small_patches(shape, name, rng):
+def test_spectra_of_small_patches_are_finite_and_not_negative(shape, name, rng):
     heightfield = wd.HeightField(rng.uniform(-0.1, 0.1, shape), 0.09)
     lights, views = pairs()
     rho = best_effort(wd.spectral_reflectance, heightfield, lights, views, [380.0, 780.0], coherence=COHERENCES[name])
     check(rho, lights, views)
 
 
-def test_map(rough):
+def test_maps_under_grazing_light_are_finite_and_not_negative(rough):
     for light in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.02], [0.6, 0.6, 1e-4]):
         image = best_effort(wd.reflectance_map, rough, light, size=33)
         assert np.isfinite(image.xyz).all()
@@ -125,7 +128,7 @@ def test_map(rough):
 
 
 @pytest.mark.parametrize("name", [name for name, each in COHERENCES.items() if each.kind != "source"])
-def test_reciprocity(rough, name):
+def test_the_brdf_is_reciprocal_over_the_sphere(rough, name):
     lights, views = pairs()
     lights, views = lights[::5], views[::5]
     there, back = (

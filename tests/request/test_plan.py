@@ -26,7 +26,7 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """Return a small patch with structure in both directions, fine enough for the whole hemisphere."""
+    """Return a small patch with structure along both axes, whose pitch suffices for the whole hemisphere."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
@@ -37,8 +37,8 @@ def deep(height_um: float) -> wd.HeightField:
     return wd.HeightField.of_known_scale(heights, 0.05)
 
 
-def test_ranges(rough, rng):
-    # A plan for the direct sum has the same ranges as others, and needs no search.
+def test_a_plan_covers_the_range_of_its_directions(rough, rng):
+    # Plans for the direct sum have the same ranges as other plans, and are made quickly, because they need no search.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -90,7 +90,7 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors may be smaller at the larger tolerance, if both plans are as small as possible.
+        # Measured errors are not compared, because they may be smaller at the larger tolerance.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -107,7 +107,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """The predicted error is at most ten times the measured error, also on directions that were not planned for."""
+    """A search finds a plan that meets the tolerance, also on directions that the search has not tried.
+
+    The error that the plan predicts is at most ten times the measured error.
+    """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
     plan = wd.plan(rough, lights, views, coherence=coherence, method="low-rank")
@@ -208,7 +211,7 @@ def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
-    # The reference for five terms is the same series in float64, over all coefficients of the patch.
+    # The expected value is the sum of the five terms in float64, over all coefficients of the patch.
     block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
     expansion = EXPANSIONS[plan.method]
     series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)
@@ -364,7 +367,7 @@ def test_windows_too_long_for_a_colour_are_refused(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """A field of one row has no orders outside of the plane of incidence, and no aliasing, for any pitch along y."""
+    """Whatever its pitch along y, a field of one row has no orders outside of the plane y = 0, and no aliasing."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -413,7 +416,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
     assert len(builds) == 1
-    # A height field with equal heights in another object has its own tables.
+    # Another ``HeightField`` object with equal heights has its own tables.
     wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
     assert len(builds) == 2
 

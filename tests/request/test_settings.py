@@ -173,7 +173,7 @@ def test_settings_accept_the_values_that_their_descriptions_allow(values):
     try:
         made = settings.PictureSettings(**values)
     except ValueError as error:
-        # An error message about two options names both of them.
+        # Only combinations with ``method`` may be refused, and the message must name this option.
         assert "method" in str(error)  # noqa: PT017
     else:
         for name, value in values.items():

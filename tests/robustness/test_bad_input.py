@@ -62,7 +62,7 @@ SHARED = [
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 
-# Invalid values of other arguments. Each call gets an empty folder.
+# Calls with invalid values of other arguments, and the expected messages. Each call gets the path of an empty folder.
 VALUE_ERRORS = [
     # Invalid height fields
     (lambda _: wd.HeightField([[math.nan]], 0.1), "heights_um must have at least one height, got 1 NaN"),
@@ -238,7 +238,7 @@ def no_kernel(monkeypatch):
     assert not launched
 
 
-def test_every_evaluation_is_called():
+def test_every_function_with_an_option_method_is_called():
     functions = [name for name in wd.__all__ if inspect.isfunction(getattr(wd, name))]
     assert set(EVALUATE) == {name for name in functions if "method" in inspect.signature(getattr(wd, name)).parameters}
 
@@ -253,7 +253,7 @@ def test_every_evaluation_is_called():
     ],
 )
 @pytest.mark.usefixtures("no_kernel")
-def test_options(function, option, value, error, message):
+def test_invalid_shared_options_are_refused(function, option, value, error, message):
     with pytest.raises(error, match=message):
         EVALUATE[function](**{option: value})
 
@@ -286,7 +286,7 @@ def test_the_direct_method_checks_options_that_it_ignores(option):
     ],
 )
 @pytest.mark.usefixtures("no_kernel")
-def test_arguments(error, call, message, tmp_path, monkeypatch):
+def test_invalid_arguments_are_refused(error, call, message, tmp_path, monkeypatch):
     # Set the free memory to a fixed value, because some systems do not report it.
     monkeypatch.setattr(memory, "available", lambda: 4e9)
     with pytest.raises(error, match=message):
@@ -294,7 +294,7 @@ def test_arguments(error, call, message, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("field", "value", "message"), PLANS)
-def test_plans(field, value, message):
+def test_invalid_fields_of_plans_are_refused(field, value, message):
     with pytest.raises(ValueError, match=message):
         changed(**{field: value})
 
@@ -305,7 +305,7 @@ def test_heights_of_another_unit_are_refused_before_kernels_are_compiled():
 
 
 @pytest.mark.parametrize(("name", "options", "error", "message"), SAVES)
-def test_saving(name, options, error, message, tmp_path):
+def test_refused_saving_changes_no_files(name, options, error, message, tmp_path):
     for old in ("old.png", "old.exr"):
         (tmp_path / old).write_text("precious")
     with pytest.raises(error, match=message):

@@ -68,7 +68,7 @@ def test_an_unreadable_texture_is_reported_and_replaced_by_the_plain_colour(tmp_
     np.testing.assert_allclose(surface.texture[0, 0], [0.2140, 0.0509, 1.0], atol=4e-3)
 
 
-def test_a_refused_texture_and_a_lost_library_are_reported(tmp_path):
+def test_a_refused_texture_and_a_missing_material_library_are_reported(tmp_path):
     folder = tmp_path / "mesh"
     folder.mkdir()
     (folder / "mesh.obj").write_text(OBJ)

@@ -1,4 +1,4 @@
-"""Long tests of a soak test: memory over thousands of calls, and processes that compile kernels simultaneously."""
+"""Tests that run only in a soak test: memory over thousands of calls, and processes that compile simultaneously."""
 
 import hashlib
 import os
@@ -60,7 +60,7 @@ PICTURE = "import hashlib, test_forks as t; print(hashlib.sha256(t.picture().tob
 
 
 @pytest.mark.permanent("concurrent processes that start with empty caches")
-def test_processes_that_begin_at_once_draw_the_same(tries, tmp_path):
+def test_processes_that_start_simultaneously_render_the_same_picture(tries, tmp_path):
     from robustness import test_forks
 
     folders = {"WARP_CACHE_PATH": str(tmp_path / "kernels"), "WARPDIFF_CACHE_DIR": str(tmp_path / "cache")}

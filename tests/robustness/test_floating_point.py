@@ -26,7 +26,7 @@ def view():
     return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), width=40, height=30)
 
 
-def test_surfaces_and_meshes(fingers):
+def test_surfaces_and_meshes_cause_no_floating_point_error(fingers):
     heights = np.array(fingers.heights_um)
     heights[10, 10] += 5.0
     despiked = wd.HeightField(heights, fingers.pitch_um).despiked()
@@ -38,7 +38,7 @@ def test_surfaces_and_meshes(fingers):
 
 @pytest.mark.parametrize("coherence", [SHORT, SOURCE], ids=["averaged", "source"])
 @pytest.mark.parametrize("method", ["auto", "taylor", "taylor-uncentred"])
-def test_reflectances(fingers, coherence, method):
+def test_reflectances_cause_no_floating_point_error(fingers, coherence, method):
     to_view = np.random.default_rng(0).normal(size=(300, 3))
     to_view[:, 2] = np.abs(to_view[:, 2]) + 0.05
     options = {"coherence": coherence, "method": method, "tolerance": 0.2, "strict": False}

@@ -75,7 +75,7 @@ def in_child(work):
     pytest.fail("the child hangs")
 
 
-def test_a_child_draws_what_its_parent_draws():
+def test_a_child_renders_the_same_picture_as_its_parent():
     expected = picture()
     assert in_child(lambda: np.array_equal(picture(), expected)) == 0
     np.testing.assert_array_equal(picture(), expected)
@@ -101,7 +101,7 @@ def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-def test_a_child_may_be_the_first_to_draw():
+def test_a_child_may_be_the_first_to_render():
     """Fork before any kernel is loaded, and let the child fork as well."""
     code = (
         "import test_forks as t\n"
@@ -111,9 +111,9 @@ def test_a_child_may_be_the_first_to_draw():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# A pool of one process suffices for start methods with a fresh interpreter.
+# For start methods that begin with a fresh interpreter, a pool of one process suffices.
 @pytest.mark.parametrize(("method", "processes"), [("fork", 2), ("spawn", 1), ("forkserver", 1)])
-def test_pools_of_any_method_draw_the_same(method, processes):
+def test_pools_of_any_start_method_render_the_same_pictures(method, processes):
     angles = (0.0, 0.3)
     expected = [picture(angle) for angle in angles]
     with multiprocessing.get_context(method).Pool(processes) as pool:
@@ -121,7 +121,7 @@ def test_pools_of_any_method_draw_the_same(method, processes):
     np.testing.assert_array_equal(pictures, expected)
 
 
-def test_forks_while_other_threads_draw():
+def test_a_child_forked_while_other_threads_render_renders_the_same_picture():
     expected = picture()
     ended = threading.Event()
 
@@ -311,5 +311,5 @@ def test_forks_work_without_the_private_locks_of_python_and_warp(locks, lock, mo
 
 
 def test_threads_of_image_files_end_before_a_fork():
-    """A thread that is just starting has a lock, for which a child that reads an image file would wait forever."""
+    """A starting thread holds a lock. A child forked at that time would wait for it when it reads an image file."""
     subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)

@@ -20,7 +20,7 @@ MODELS = os.environ.get("WARPDIFF_MODELS")
 
 
 def render(path, **options):
-    """Render a small picture; return an empty text, or the message of a clear error."""
+    """Render a small picture of a mesh file. Return the error message if the file is refused, or an empty text."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Ignore the package's own warnings, such as one about a missing texture.
@@ -62,7 +62,7 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
 @pytest.mark.permanent("malformed mesh files of every format")
 @pytest.mark.skipif(not MODELS, reason="WARPDIFF_MODELS is not set to a folder of mesh files")
 def test_additional_mesh_files_are_rendered_or_refused(tries, rng):
-    # Files that are not meshes must be refused with the same kind of message.
+    # Files that are not meshes must be refused by an error with their path, too.
     for path in tries.of(path for path in sorted(Path(MODELS).rglob("*")) if path.is_file()):
         if "texture coordinates" in render(path):
             render(path, tangents=tangents_for(path, rng))

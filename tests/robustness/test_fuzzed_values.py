@@ -29,7 +29,8 @@ MOST_S = 60
 MOST_MORE_BYTES = 1 << 30
 
 
-# Classes whose field names a message may contain, by argument: valid objects may be refused because of a field.
+# Class of each argument that is an object. A call may refuse the object because of one of its fields, so the message
+# may name a field of this class.
 PARTS_OF = {
     "heightfield": "HeightField", "coherence": "Coherence", "light": "DirectionalLight", "lights": "DirectionalLight",
     "view": "View", "direction": "View", "plan": "Plan", "self": "HeightField",
@@ -43,7 +44,7 @@ def strategies_of(name):
     return strategies | ({"self": fuzz.OBJECTS[FUZZED_OWNERS[owner]]} if owner in FUZZED_OWNERS else {})
 
 
-# Functions that return the numbers in a result, by class of the result.
+# For each class of results, a function that lists the arrays of numbers in a result.
 NUMBERS_OF = {
     np.ndarray: lambda array: [array] if array.dtype.kind == "f" else [], wp.array: lambda array: [array.numpy()],
     (float, np.floating): lambda number: [np.array(number)],
@@ -100,7 +101,7 @@ def little_memory():
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def test_everything_public_is_called():
+def test_fuzzed_functions_include_methods_and_functions_of_submodules():
     assert {"shade", "plan", "Coherence", "gratings.disc", "meshes.snake", "HeightField.load"} <= set(PUBLIC)
 
 

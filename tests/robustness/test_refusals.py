@@ -137,7 +137,7 @@ COMMANDS = {
     "render": ["disc", *FILES, "-o", "a.png"], "sequence": ["disc", *FILES, "-o", "frames"],
     "brdf": [*FILES, "-o", "a.png"], "export-html": ["a.html", "disc", *FILES], "info": FILES, "view": [], "demo": [],
 }  # fmt: skip
-# Replaced arguments of a command, for flags that exclude its default arguments or need others.
+# Arguments that replace ``FILES`` in a command, for flags that exclude ``--pitch-um`` or need another file.
 INSTEAD = {"extent_um": FILES[:2], "height_range_um": ["--heightfield", "integers.npy", *FILES[2:]]}
 # Functions whose options are flags of a single command. ``OWNERS`` have the options that all commands share.
 FUNCTIONS = {"sequence": wd.sequence, "brdf": wd.reflectance_map, "export-html": wd.export_html}
@@ -172,7 +172,7 @@ def command_line_rows() -> Iterator[Row]:
                 yield Row("command line", " ".join(line), flag, rule, functools.partial(error_of_command, line))
 
 
-# Arguments of the pictures in the rules. ``…`` in a command line stands for ``DISC``.
+# Arguments of the pictures in ``RULES`` and ``LINES``. ``…`` in a command line stands for ``DISC``.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
 SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
 Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))
@@ -386,13 +386,13 @@ def _prepared(tmp_path_factory):
         yield
 
 
-def test_each_front_end_refuses_hundreds():
+def test_each_front_end_refuses_at_least_150_requests():
     fronts = [row.front for row in ROWS]
     assert all(fronts.count(front) >= 150 for front in ("python", "command line", "viewer"))
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.front}: {row.request}")
-def test_refusals_name_the_users_word(row):
+def test_messages_name_an_argument_as_the_user_wrote_it(row):
     message = row.message()
     assert re.match(rf"{re.escape(row.word)}(?!\w).*?{row.rule}" if row.word else row.rule, message)
     assert "\n" not in message.strip()

@@ -120,14 +120,14 @@ COMMAND = "import signal, sys, time; from warpdiff import __main__; from warpdif
 RUN = "\nsys.exit(__main__.main())"
 
 
-def test_a_signal_that_was_ignored_stays_so(tmp_path):
+def test_an_ignored_signal_stays_ignored(tmp_path):
     ignore = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
     raises = "cli.main = lambda: signal.raise_signal(signal.SIGHUP) or 3"
     assert ended(ignore + COMMAND + raises + RUN, tmp_path)[0] == 3
 
 
 def test_an_interruption_that_is_converted_to_another_error_ends_the_command(tmp_path):
-    """NumPy's import converts an interruption to ``ImportError`` in the same way."""
+    """The test command converts the interruption to ``ImportError``, as NumPy does while it is imported."""
     rotated = "def turned():\n    try: signal.raise_signal(15); time.sleep(60.0)\n"
     rotated += "    except BaseException: raise ImportError('could not import')\ncli.main = turned"
     code, _, error = ended(COMMAND + rotated + RUN, tmp_path)
@@ -140,7 +140,7 @@ def test_an_interruption_in_a_finalizer_ends_the_command_without_a_message(tmp_p
 
 
 def test_a_signal_after_the_command_has_ended_changes_nothing(tmp_path):
-    # Python deletes module globals after the registered exit functions, so the signal arrives last.
+    # Python deletes module globals after it has called all exit functions, so this finalizer sends a very late signal.
     late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
     code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
     assert code == 0, error

@@ -40,7 +40,7 @@ def in_shell(command, folder, **environment):
         ("$W --version >/dev/full", 1, "warpdiff: standard output: No space left on device\n"),
     ],
 )
-def test_streams_that_cannot_be_written_to(command, code, error, tmp_path):
+def test_streams_that_cannot_be_written_to_cause_no_traceback(command, code, error, tmp_path):
     if "/dev/full" in command and not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full")
     assert in_shell(command, tmp_path) == (code, "", error)

@@ -25,7 +25,7 @@ def test_disc_tangents_are_radial_and_normals_face_z():
     assert not surface.has_base_colour
 
 
-def test_disc_area():
+def test_a_disc_has_the_area_of_its_ring():
     mesh = meshes.disc(inner_radius=0.25, outer_radius=2.0)
     assert mesh.area == pytest.approx(math.pi * (4.0 - 0.0625), rel=1e-4)
     assert len(mesh.faces) < 60_000
@@ -35,7 +35,7 @@ def test_disc_area():
 
 
 @pytest.mark.parametrize("tangent", ["around", "along"])
-def test_straight_tube(tangent):
+def test_a_straight_tube_has_exact_normals_and_tangents(tangent):
     mesh = meshes.tube(radius=0.1, length=2.0, bend_deg=0.0, tangent=tangent, segments_along=96, segments_around=48)
     surface = prepare_surface(mesh)
     points = world(surface)
@@ -50,7 +50,7 @@ def test_straight_tube(tangent):
     np.testing.assert_array_equal(surface.handedness, 1.0)
 
 
-def test_default_tube():
+def test_the_default_tube_has_few_faces_that_are_oriented_outwards():
     mesh = meshes.tube()
     surface = prepare_surface(mesh)
     assert len(surface.faces) == len(mesh.faces) == 2 * 255 * 96 < 60_000
@@ -66,7 +66,7 @@ def test_default_tube():
 @pytest.mark.parametrize(
     ("mesh", "axis"), [(meshes.tube(segments_along=48, segments_around=24), 0), (meshes.disc(segments=48), 1)]
 )
-def test_the_seam_is_invisible(mesh, axis):
+def test_vertices_and_frames_are_equal_on_both_sides_of_the_texture_seam(mesh, axis):
     surface = prepare_surface(mesh)
     first, last = (np.flatnonzero(surface.uvs[:, axis] == end) for end in (0.0, 1.0))
     assert len(first) == len(last) > 2

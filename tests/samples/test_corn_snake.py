@@ -32,7 +32,7 @@ def degrees(cosine):
 
 
 def places(mesh):
-    """Return a number for each vertex, which is equal for vertices at the same position."""
+    """Return an index of the position of each vertex. Vertices at the same position have the same index."""
     cells = np.round(mesh.vertices / 1e-8).astype(np.int64)
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
@@ -55,7 +55,7 @@ def test_the_snake_is_closed_and_its_faces_are_oriented_outwards(arguments):
     assert mesh.vertices[:, 1].min() == 0.0
 
 
-def test_the_default_is_light():
+def test_the_default_snake_has_few_faces_and_none_too_narrow_for_float32():
     mesh = meshes.snake()
     assert 100_000 < len(mesh.faces) < 210_000
     corners = mesh.vertices[mesh.faces]
@@ -68,7 +68,7 @@ def test_the_default_is_light():
     assert cosine.min() > 0.0
 
 
-def test_faces_have_areas_and_normals_near_their_own(snake, surface):
+def test_normals_of_vertices_are_near_those_of_their_faces(snake, surface):
     assert len(surface.faces) == len(snake.faces)
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
     # Faces at the free edges of scales are included, where surfaces with different directions meet.
@@ -77,10 +77,9 @@ def test_faces_have_areas_and_normals_near_their_own(snake, surface):
     np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
 
 
-def test_the_seam_is_invisible(surface):
+def test_normals_are_continuous_across_the_texture_seam(surface):
     # At the texture seam, each vertex has a twin with the same position and normal. The snout and the tip of the tail
-    # are
-    # excluded.
+    # are excluded.
     left, right = (
         np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
     )
@@ -94,8 +93,8 @@ def test_the_seam_is_invisible(surface):
 def test_scales_have_the_requested_number(scale_rows):
     ventrals = 12
     mesh = meshes.snake(scale_rows=scale_rows, ventrals=ventrals, segments=2)
-    # Corners of scales are on a lattice of half scales. There, vertices with equal texture coordinates are at different
-    # positions.
+    # Scales overlap, so vertices at their corners share texture coordinates but not positions. In texture coordinates
+    # the corners are on a lattice, with a distance of half a scale along the body.
     belly, head, tail = 0.15, 16.0, 1.0
     x = (mesh.visual.uv[:, 0] - belly) / (1.0 - 2.0 * belly) * (scale_rows + 1)
     tau = mesh.visual.uv[:, 1] * (head + ventrals + tail) - head

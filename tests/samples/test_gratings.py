@@ -30,7 +30,7 @@ def test_default_pitch_is_fine_enough(make: Any, period: float) -> None:
 
 
 @pytest.mark.parametrize(("duty", "high"), [(0.5, 32), (0.25, 16), (0.01, 1), (0.99, 63)])
-def test_lamellar_levels(duty: float, high: int) -> None:
+def test_a_lamellar_grating_has_two_levels(duty: float, high: int) -> None:
     heights = gratings.lamellar(1.0, 0.15, duty=duty).heights_um[0]
     np.testing.assert_array_equal(heights, [0.15] * high + [0.0] * (64 - high))
 
@@ -64,7 +64,7 @@ def test_disc_tracks_depths_and_runs(kind: str) -> None:
     assert 0.4 < np.mean(field.heights_um[:, across // 2 :: across] < -0.5 * depth) < 0.6
 
 
-def test_bump_cell() -> None:
+def test_a_bump_has_the_requested_size_and_height() -> None:
     field = gratings.bumps()
     assert field.size_um == pytest.approx((2.0, 1.0))
     heights = field.heights_um
@@ -102,7 +102,7 @@ RANDOM = {
 
 
 @pytest.mark.parametrize("name", RANDOM)
-def test_seeds_repeat_and_differ(name: str) -> None:
+def test_equal_seeds_give_equal_heights_and_other_seeds_do_not(name: str) -> None:
     make = RANDOM[name]
     np.testing.assert_array_equal(make(1).heights_um, make(1).heights_um)
     assert not np.array_equal(make(1).heights_um, make(2).heights_um)

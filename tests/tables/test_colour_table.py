@@ -56,7 +56,7 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The colour curves have kinks, so splines converge with first order.
+    # The CIE colour curves have kinks, so errors of splines decrease in proportion to the distance of the rings.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -85,7 +85,7 @@ def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum at random radii equal sums over all coefficients in float64."""
+    """Samples of the spectrum on azimuths, computed by the kernel, equal float64 sums over all coefficients."""
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
     rows = rng.normal(size=(*counts, parts, lanes)).astype(np.float32)
@@ -131,7 +131,7 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # The kernel ignores neighbours with a weight below exp(−20).
+    # The kernel excludes neighbours with a weight below exp(−20), which causes errors of up to 1e-6 of the peak.
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -141,9 +141,10 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
     [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
 )
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
-    """Spline coefficients, sums over them, and the dark end of the spectrum equal the same in float64.
+    """Colour rows computed by the kernel equal float64 sums over spline coefficients of the spectrum.
 
-    With a reach of 0 there are no rows beyond the last colour, so the start of the spline filter matters, too.
+    Beyond the last octave the spectrum is 0. The spline filter reads ``reach`` samples there. With 0 of them, the first
+    step of the filter affects the result.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -189,12 +190,12 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
-    """Look-ups equal the same sums in float64, also at the limits of octaves and at an azimuth of 0."""
+    """Look-ups equal float64 sums of splines times table rows, also at the limits of octaves and at an azimuth of 0."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # Octaves begin at ring numbers that differ by the number of rings per octave.
+    # ``seams`` are the ring numbers at which the last two octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -225,7 +226,7 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     assert np.max(relative_errors(xyz.numpy(), expected)) < 5e-4
 
 
-def test_a_mirror_has_its_colour():
+def test_colours_of_a_mirror_equal_the_illuminant_and_sampled_colours():
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, method="low-rank")
     up = np.array([0.0, 0.0, 1.0])
@@ -275,7 +276,7 @@ def test_basis_functions_of_w_reproduce_all_terms():
             assert np.max(np.abs(expected - actual)[inside]) < 2e-2 * np.max(np.abs(weights[:, c]))
 
 
-def test_the_number_of_threads_does_not_matter(fingers, rng):
+def test_the_number_of_threads_does_not_change_colours(fingers, rng):
     lights, views = hemisphere(rng, 500), hemisphere(rng, 500)
     plan = wd.plan(fingers, method="low-rank", integration="table", tolerance=1e-1, coherence=SHORT)
     one = wd.reflectance(fingers, lights, views, plan=plan, threads=1)
@@ -325,11 +326,11 @@ def test_a_spectrum_has_no_table(fingers):
 
 
 @pytest.mark.parametrize("size", [(64, 1), (1, 64)])
-def test_one_dimensional_surfaces(size, rng):
+def test_tables_of_one_dimensional_surfaces_are_accurate(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
-    # The window covers only a few periods, because the size of a table grows with its square.
+    # The window covers only a few periods, because the size of a table is proportional to the square of the window.
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)

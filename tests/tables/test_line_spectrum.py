@@ -29,7 +29,7 @@ def plan(fingers):
 def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 150), hemisphere(rng, 150)
     assert plan.rings_per_octave > 0
-    # The plan's error contains a safety factor, which alone must not cause a refusal.
+    # The predicted error of a plan contains a safety factor, so it may exceed the tolerance without a refusal.
     assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -56,7 +56,11 @@ def test_more_rings_have_smaller_errors(fingers, plan, rng):
 
 @pytest.mark.parametrize("incidence_deg", [0.0, 50.0])
 def test_a_mirror_shows_the_source(incidence_deg):
-    """A mirror shows a white source with brightness exp(−½ dᵀΣs⁻¹d), inside and outside of the table's inner radius."""
+    """A mirror shows a white source. At a distance d from the mirror direction in (u, v) its brightness is
+    exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the source.
+
+    The distances are inside and outside of the inner radius of the table.
+    """
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, coherence=SOURCE, method="low-rank")
     tabled = dataclasses.replace(plan, rings_per_octave=24, azimuths_per_width=2.0, least_weight=1e-8)
@@ -83,7 +87,10 @@ def sine():
      *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
 )  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
-    """The first order of a sine, which disperses along x, is measured along v for several planes of incidence."""
+    """The profile of the first order of a sine along v is that of the source, for several planes of incidence.
+
+    The sine disperses light only along x, so v does not mix wavelengths.
+    """
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     theta, phi = np.radians(incidence_deg), np.radians(angle_deg)
     to_light = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
@@ -91,7 +98,7 @@ def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
     v = source.spread * np.linspace(-2.0, 2.0, 17)
     views = np.stack([np.full(17, u - to_light[0]), v - to_light[1], np.zeros(17)], axis=1)
     views[:, 2] = np.sqrt(1.0 - np.sum(views**2, axis=1))
-    # The amplitudes of the orders are computed from their definition, in steps of 0.1 nm.
+    # Expected colours are sums over wavelengths in steps of 0.1 nm. Fourier transforms give the powers of the orders.
     nm = np.linspace(380.0, 780.0, 4001)
     products = np.stack([np.interp(nm, np.arange(380, 781), c) for c in colorimetry.colour_products().T], axis=1) * 0.1
     exact = []
@@ -116,7 +123,10 @@ def test_a_single_order_has_the_sources_shape(sine, angle_deg, incidence_deg):
 
 
 def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, rng):
-    """Near the mirror direction, and under a grazing source narrower than the lines, directions are sampled."""
+    """The table does not support directions within its inner radius around the mirror direction.
+
+    It does not support grazing sources narrower than the blur of its lines either. Both are sampled instead.
+    """
     to_light = np.array([0.6, 0.0, 0.8])
     angles = rng.uniform(0.0, 2.0 * np.pi, 60)
     uv = rng.uniform(0.1, 0.99, 60) * polar_grid.inner_radius(SOURCE)
@@ -132,8 +142,8 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
         np.testing.assert_allclose(result, exact, atol=2e-3 * exact.max(), rtol=2e-2)
 
 
-def test_directions_beyond_the_reference_do_not_count():
-    """At the horizon the reference has too few wavelengths for a source, so such directions do not count."""
+def test_directions_beyond_the_range_of_the_reference_do_not_count():
+    """Under a source at the horizon, the reference has too few wavelengths, so its errors must not count."""
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
     group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))
@@ -144,7 +154,7 @@ def test_directions_beyond_the_reference_do_not_count():
 
 
 def test_a_table_that_is_too_large_is_refused(rng):
-    """If a table fits into the memory limit, its error decides about refusal. If none fits, the call is refused."""
+    """A call is refused if no table fits into 300 MB, or if the largest table that fits has too large an error."""
     large = wd.gratings.fingers(size_um=25.6, seed=1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
     for degrees, message in ((0.1, "12 rings per octave are too few"), (0.05, "requires more than 300 MB")):
@@ -153,8 +163,8 @@ def test_a_table_that_is_too_large_is_refused(rng):
             wd.plan(large, lights, views, coherence=sharp, tolerance=1e-2, method="low-rank", integration="table")
 
 
-def test_azimuths_are_periodic(fingers, plan):
-    """Azimuths are periodic: colours are continuous at azimuths of 0° and 180°."""
+def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
+    """The azimuth samples of a table are periodic and begin at 0°, so look-ups near 0° use the last samples, too."""
     views = []
     for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):
         u, v = 0.6 * np.cos(np.radians(degrees)), 0.6 * np.sin(np.radians(degrees))
@@ -197,7 +207,7 @@ def test_footprints_widen_the_source(fingers, plan):
 
 
 def test_progress_increases_to_the_end_once(fingers, plan, rng):
-    """Directions that are sampled instead of looked up do not restart the progress."""
+    """Directions that the table does not support are sampled after the look-ups. Sampling must not restart progress."""
     lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
     shares = []
     wd.reflectance(fingers, lights, views, plan=plan, progress=shares.append)

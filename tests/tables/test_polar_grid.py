@@ -1,4 +1,4 @@
-"""Polar grids, and the zeroth order, which tables on these grids exclude."""
+"""Polar grids of (u, v), and the zeroth order, which tables on these grids do not contain."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ def test_samples_lie_on_rings_of_equal_ratios():
         np.testing.assert_allclose(radii[begin:end], radii[begin])
 
 
-def test_baked_lobes_end_one_ring_beyond_two():
+def test_grids_of_baked_lobes_end_one_ring_beyond_a_radius_of_2():
     grid = interpolation.grid_for(0.02, 12, 1.0)
     ring = interpolation.ring_of_largest(grid.rings, grid.azimuths)
     assert grid.radii.ravel()[ring] == pytest.approx(2.0, rel=1e-12)
@@ -35,8 +35,11 @@ def test_baked_lobes_end_one_ring_beyond_two():
 
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
-def test_rows_of_levels_follow_each_other(coherence):
-    """All mip levels have the rings of level 0, at most its number of azimuths, and space for periodic azimuths."""
+def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
+    """All mip levels have the rings of level 0 and at most its number of azimuths.
+
+    Before and after the rows of each octave there are additional rows, which repeat its last and first azimuths.
+    """
     plan = wd.plan(wd.HeightField(np.zeros((8, 8)), 0.09), coherence=coherence, method="low-rank")
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
     layout = MipLayout.for_plan(plan, 4.0).with_mip_levels()
@@ -54,7 +57,7 @@ def test_rows_of_levels_follow_each_other(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table equals that of baked lobes, which use a histogram of heights."""
+    """The zeroth order of a colour table equals that of baked lobes, which is computed from a histogram of heights."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)

@@ -45,7 +45,7 @@ def arrays_of(struct):
 
 @pytest.mark.parametrize("coherence", COHERENCES, ids=str)
 def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
-    """Space for mip levels is allocated from the beginning. It counts only after the levels are computed."""
+    """Arrays of tables have space for mip levels, which counts as size of the cache once the levels are computed."""
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
     requests = [(plan, D65), (blurred, D65), (plan, A), (plan, D65), (blurred, A)]
@@ -56,7 +56,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # Tables of amplitudes have no blurred levels.
+        # Tables of amplitudes have only mip level 0, and the rest of their arrays stays unused.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())
@@ -64,7 +64,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """Results do not depend on whether another call has added mip levels to the table."""
+    """Another call may add mip levels to a cached table. A call that uses no levels must still get the same results."""
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
@@ -80,8 +80,8 @@ def test_a_table_without_levels_stays_without_them(heightfield):
     assert len(after.struct.zeroth_order)
 
 
-def test_keys_are_values(heightfield):
-    """Equal plans share a table, even if they are different objects."""
+def test_equal_plans_share_a_table(heightfield):
+    """Keys of the cache are frozen dataclasses, so plans with equal values share a table."""
     plan = plan_of(heightfield, COHERENCES[0])
     first = table(heightfield, plan)
     again = table(heightfield, dataclasses.replace(plan), IlluminatedMaterial("D65"))
@@ -93,8 +93,8 @@ def test_keys_are_values(heightfield):
     assert all(dataclasses.is_dataclass(part) for key in cache.colours._values for part in key)
 
 
-def test_no_key_is_made_of_an_identity_or_a_text():
-    """Keys must be values: ``id`` may repeat after an object is deleted, and different objects may have equal texts."""
+def test_keys_of_caches_contain_no_identities_of_objects_and_no_texts():
+    """An ``id`` may be used again after its object is deleted, and different objects may have equal texts."""
     for package, names in {"tables": {"id", "str", "repr", "hash"}, "baked": {"id", "repr", "hash"}}.items():
         for path in sorted((PACKAGE / package).glob("*.py")):
             calls = [
