@@ -34,14 +34,15 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Smallest |κ| of the basis, relative to the largest one. At smaller |κ|, only the zeroth order has power.
+# Smallest |κ| of the basis, relative to the largest |κ|. At smaller |κ|, all orders except the zeroth one are
+# negligible.
 _SMALLEST_KAPPA = 1e-3
-# Limits on the truncation error of the functions of w, as shares of the tolerance: for terms of powers, and for
-# cardinal polynomials in |κ|. Sums of cardinal polynomials may be smaller than each polynomial, so that their limit is
+# Limits on the error of truncating the functions of w, as shares of the tolerance. The first is for a basis of powers;
+# the second is for cardinal polynomials in |κ|, which large terms of opposite sign can cancel, and is therefore
 # stricter.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# Number of coefficients from which the size of each term is estimated, and the smallest size of a term relative to the
-# largest one.
+# Number of coefficients from which the typical size of each basis term is estimated, and the smallest size that a term
+# is assumed to have, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of |κ| at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
@@ -83,7 +84,8 @@ class SpectrumSource(ABC):
         basis: Basis functions in which the rows of the spectrum are expanded.
         at_kappas: For amplitudes, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes). The
             powers at these |κ| form a row of the spectrum. Zeros for powers.
-        zeroth: Zeroth order, which rows exclude unless its power is empty.
+        zeroth: Zeroth order, which is stored separately. If its array of powers is empty, the rows include the zeroth
+            order.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
         projections: Projections that were computed already, by illuminant and material.
     """
@@ -185,7 +187,7 @@ class WindowedSpectrum(SpectrumSource):
 
 
 class Lines(NamedTuple):
-    """Spectral lines except the zeroth order, sorted by angle; each line is one Fourier coefficient.
+    """Spectral lines of all Fourier coefficients except the zeroth order, sorted by angle.
 
     Attributes:
         rows: Index of each line's row in the table of coefficients.
@@ -217,7 +219,7 @@ class LineSpectrum(SpectrumSource):
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
-        """Return the lines up to the largest frequency; the projector later adds them to the grid."""
+        """Return the lines up to the largest frequency of a look-up; :meth:`projector` adds them to the grid."""
         arguments, highest = self.table.arguments, self.layout.highest
         lengths = arguments.length_y, arguments.length_x
         most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
@@ -229,7 +231,8 @@ class LineSpectrum(SpectrumSource):
         qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
         squared = qy**2 + qx**2
         inside = (squared <= highest**2) & (squared > 0.0)
-        # Beyond the Nyquist frequency of the pitch, coefficients repeat periodically.
+        # Frequencies beyond the Nyquist limit of the pitch have coefficients too: the coefficients of a sampled surface
+        # are periodic in the frequency.
         rows = (s + arguments.origin_y) % arguments.count_y
         columns = (r + arguments.origin_x) % arguments.count_x
         coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
@@ -273,7 +276,7 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """Return the class of spectra for a coherence."""
+    """Return the class of power spectra for a coherence: lines for a source, otherwise samples."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
@@ -333,7 +336,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the root mean square of each term relative to the norm of its row; ``rows`` has (my, mx, terms)."""
+    """Return the root mean square of each basis term, relative to its row's norm; ``rows`` has (my, mx, terms)."""
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)

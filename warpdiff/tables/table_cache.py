@@ -1,7 +1,7 @@
 """Cache of the most recently used tables of each height field; deleted together with the height field.
 
-Pictures with moving lights or cameras reuse the same tables. A search for a plan reuses tables of a few sizes. Keys are
-frozen dataclasses of everything on which a table depends, except the heights.
+Pictures with moving lights or cameras reuse the same tables. A search for a plan tries tables of a few sizes, which the
+cache keeps for later calls. Keys are frozen dataclasses of everything on which a table depends, except the heights.
 """
 
 from __future__ import annotations
