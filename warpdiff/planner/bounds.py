@@ -131,7 +131,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the wavelengths that its bandwidth requires; for a grazing source, their number is limited."""
+    """Return the plan with as many wavelengths as its bandwidth requires; a grazing source has a limited number."""
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
