@@ -111,7 +111,7 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Return the smallest number of terms with a truncation error within a tolerance, or the number of all terms."""
+        """Return the smallest number of terms whose truncation error is within a tolerance; at most all terms."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 

@@ -75,7 +75,7 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the fewest terms, at most ``MAX_TERMS``, with a remainder up to x = ``argument`` within a tolerance."""
+        """Return the fewest terms, at most ``MAX_TERMS``, whose remainder at x = ``argument`` is within a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1

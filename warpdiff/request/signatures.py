@@ -22,7 +22,7 @@ _WIDTH = 120
 
 
 def accepts(settings: type) -> Callable[[Function], Function]:
-    """Return a decorator that replaces ``**settings`` of a function by the fields of a class of settings.
+    """Return a decorator that replaces ``**settings`` in a function's signature by the fields of a settings class.
 
     The signature and the docstring of the function then list the fields, so that ``help``, IPython and Sphinx show
     them. An unknown name raises an error that suggests the most similar name.
