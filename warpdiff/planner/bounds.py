@@ -57,7 +57,7 @@ _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # neighbours. Fitted: 99th percentile of the errors of such plans. This number is only reported; no decision depends on
 # it.
 _TYPICAL_SHARE = 0.05
-# Number of samples, at a tolerance of 1, of a replicated patch's power per order that passes in the visible range.
+# Number of samples, at a tolerance of 1, of a replicated patch's power per order that passes over the visible range.
 # Fitted for random patches of fingers under illuminants from D65 to HP1; the number is 25 at a tolerance of 1e-2. If
 # halved, the error is 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
@@ -107,10 +107,11 @@ def with_neighbours_of_darkness(plan: Plan) -> Plan:
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Return the number of samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
-    ``rate`` is the order rate. The interference of two surface points has the phase 2π/λ times w(h − h') + (u, v)·(x −
-    x'). The window weights it by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ, whose width determines
-    a. The range of heights determines b, and the colour-matching functions determine c. The factor a is limited to the
-    largest number that a plan accepts; a plan at that limit is refused later, because it has too many wavelengths.
+    ``rate`` is the order rate. The interference of two surface points x and x' has the phase 2π/λ times
+    w(h − h') + (u, v)·(x − x'). The window weights it by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ,
+    whose width determines a. The range of heights determines b, and the colour-matching functions determine c. The
+    factor a is limited to the largest number that a plan accepts; a plan at that limit is refused later, because it has
+    too many wavelengths.
     """
     if coherence.kind == "replicas":
         # The power of one patch oscillates over 1/λ with at most |u|Lx + |v|Ly cycles per unit.

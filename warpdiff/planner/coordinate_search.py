@@ -261,11 +261,11 @@ def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
-    """Refine a plan until its training error is at most half the target, or as close as possible; return both.
+    """Refine a plan until its training error is at most half the target, or is as small as possible.
 
-    Two cases need refinement. Powers of coefficients that vanish like a high power of κ cancel in float32; amplitudes
-    do not. For very tall surfaces and for grazing sources, the limited number of wavelengths of the upper-bound plan is
-    too small.
+    Return the plan and its training error. Two cases need refinement. Powers of coefficients that vanish like a high
+    power of κ cancel in float32; amplitudes do not. For very tall surfaces and for grazing sources, the limited number
+    of wavelengths of the upper-bound plan is too small.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:

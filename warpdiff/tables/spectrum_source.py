@@ -173,8 +173,8 @@ class WindowedSpectrum(SpectrumSource):
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Scratch space of each azimuth sample for its rings of both octaves. On the CPU, a slice writes only to the
-        # space of its first azimuth samples, and the rest is never in memory.
+        # Scratch space in which each azimuth sample has room for its rings of both octaves. On the CPU, a slice of
+        # azimuth samples uses only the room of its first ones. The rest is allocated but never in memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 

@@ -12,9 +12,9 @@ diffraction does not conserve energy, so the reflected power may exceed the inci
 the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
-or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Then ωo = −ωi − λ q, with dω = λ²/cos
-θo dq. The sampling draws one of the ray's wavelengths, and the density is the mean over all of them (hero wavelengths,
-Wilkie et al. 2014).
+or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Then ωo = −ωi − λ q, with
+dω = λ²/cos θo dq. The sampling draws one of the ray's wavelengths, and the density is the mean over all of them (hero
+wavelengths, Wilkie et al. 2014).
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Variant: TypeAlias = Any
 
 NAME = "warpdiff"
 # Probabilities of drawing from each sampling density; they only change the noise. The first is that of a uniform
-# density over the disc |q| of the table, which avoids missed lobes. The other two are the bounds of the probability of
-# the zeroth order's lobe.
+# density over the disc of the table's coordinates, which avoids missed lobes. The other two are the bounds of the
+# probability of the zeroth order's lobe.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 # Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
 _SIZE = 1024
