@@ -81,7 +81,7 @@ def bake(
     Web pages and other renderers can use the table without the height field and without this library.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose colours are baked.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.

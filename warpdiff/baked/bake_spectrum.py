@@ -41,7 +41,7 @@ def bake_spectrum(
     times the standard deviation of a lobe for σ = 16.25 µm.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose power spectrum is baked.
         size: Number of cells along each side.
         tolerance: Truncation error of the basis in κ, relative as for :func:`warpdiff.spectral_reflectance`.
         coherence: Averaged window, whose lobes have the same width in q at all wavelengths; None has σ = 16.25 µm.

@@ -124,10 +124,10 @@ def series_coefficients(
     """Return the coefficients F_n[s, r] of the formula in this module's docstring, transformed in float64.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field to transform.
         expansion: Series of the exponential, which defines p_n, c and a.
         terms: Number of terms, n = 0 … terms − 1.
-        block: Coefficients to store.
+        block: Block of the coefficients to compute.
         taper: Factors of the rows and columns of samples, as in :class:`Grid`.
         threads: Number of transforms that run in parallel.
         dtype: Type of the result, complex.

@@ -366,7 +366,7 @@ class Image:
         """Read a picture from an EXR file that :meth:`save` wrote.
 
         Args:
-            path: EXR file.
+            path: EXR file that :meth:`save` wrote.
 
         Returns:
             The picture with the values of the file. XYZ is multiplied by the exposure with which the picture was saved,

@@ -70,7 +70,7 @@ def plan(
     """Plan an evaluation of directions without computing it.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field to evaluate.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.

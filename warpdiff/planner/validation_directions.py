@@ -47,7 +47,7 @@ def candidates(
     """Return the candidates, and a mask of the edge cases among them.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field of the call.
         direction_range: Range of the call's directions.
         sample: Sample of the call's directions.
         plan: Coarse plan, whose coefficients determine the strong orders.
@@ -70,7 +70,7 @@ def sampled(
     """Draw a training set and a validation set from the candidates; the latter has all of them if they are few.
 
     Args:
-        candidates: Candidate directions.
+        candidates: Directions from which both sets are drawn.
         is_edge_case: Mask of the edge cases, shape (n,).
         luminance: Approximate luminance of each candidate, shape (n,).
         floor: Smallest luminance of a bright direction.

@@ -301,7 +301,7 @@ class Plan:
         """Return the plan of a text that :meth:`to_json` wrote.
 
         Args:
-            text: JSON.
+            text: JSON text that :meth:`to_json` returned.
 
         Raises:
             ValueError: The text is damaged, or is not a plan of this version; the message names the field.
@@ -364,7 +364,7 @@ class Plan:
         """Read a plan from a JSON file that :meth:`save` wrote.
 
         Args:
-            path: JSON file.
+            path: JSON file that :meth:`save` wrote.
 
         Raises:
             FileNotFoundError: The file does not exist.

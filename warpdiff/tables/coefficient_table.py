@@ -114,8 +114,8 @@ class RowsKey:
         block: Block of the stored coefficients.
         coefficient_range: Range of frequencies and κ.
         method: One of ``coefficient_basis.METHODS``.
-        terms: Number of terms.
-        kind: Kind of coherence.
+        terms: Number of terms of each row.
+        kind: Kind of coherence; rows of a centred window contain the phase of its position.
         centre_um: Position (y, x) of a centred window [µm]; None is the centre of the patch.
     """
 
@@ -159,7 +159,7 @@ def coefficients_for(
     Coefficients do not depend on the size or position of a window.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose coefficients are returned.
         method: One of ``coefficient_basis.METHODS``.
         coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
         direction_range: Range of directions and wavelengths.

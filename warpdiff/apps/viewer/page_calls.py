@@ -39,7 +39,7 @@ class Call:
 
     Attributes:
         function: Name of the function in ``warpdiff``, or of a method if there is a ``receiver``.
-        operands: Positional arguments.
+        operands: Positional arguments of the call.
         options: Keyword arguments as pairs of name and value.
         receiver: Call that returns the object of the method; None for a function.
     """
@@ -86,9 +86,9 @@ class NamedFiles:
     """Files that the command line names for the page, and options for loading height fields.
 
     Attributes:
-        meshes: Mesh files.
-        heights: Files of height fields.
-        environments: Image files of environment lights.
+        meshes: Mesh files that the page offers.
+        heights: Files of height fields that the page offers.
+        environments: Image files of environment lights that the page offers.
         loading: Options of ``HeightField.load``.
         cleaning: Cleaning methods of ``HeightField`` with their options, in order of application.
     """
@@ -230,7 +230,7 @@ class Scene:
         """Return Python code that renders the scene and saves the picture.
 
         Args:
-            view: Camera.
+            view: Camera of the picture.
             tolerance: Tolerance of the picture.
             saving: Options of ``Image.save``.
         """
