@@ -108,7 +108,7 @@ def cache_folder() -> Path | None:
     try:
         return _user_folder()
     except RuntimeError:
-        # pathlib raises this error if the user has no home folder.
+        # pathlib raises RuntimeError if the user has no home folder.
         return None
 
 

@@ -188,7 +188,7 @@ def choice(value: object, name: str, options: Collection[_Choice]) -> _Choice:
 
 
 def path(value: object, name: str) -> Path:
-    """Return ``value`` as a path; raise an error for other types and for names that the system does not accept."""
+    """Return ``value`` as a path; raise an error for other types and for file names that the system does not accept."""
     if not isinstance(value, (str, os.PathLike)):
         raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
     try:

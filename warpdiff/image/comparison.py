@@ -1,4 +1,4 @@
-"""Comparison of a picture with a reference, with the same error measure as ``tolerance``."""
+"""Comparison of a picture with a reference, by the error measure to which ``tolerance`` refers."""
 
 from __future__ import annotations
 

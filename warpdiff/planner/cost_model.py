@@ -95,8 +95,8 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the spectrum has about one number per term, or two if amplitudes add. The number of functions of w is
-    # about the same. X, Y and Z are computed for each of them.
+    # A row of the spectrum has about one number per term, or two if amplitudes add. About as many functions of w are
+    # needed, and X, Y and Z are computed for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

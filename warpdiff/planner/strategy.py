@@ -51,8 +51,8 @@ if TYPE_CHECKING:
 # Cost of the upper-bound plan divided by the cost of the plan from a search, by kind of coherence. Fitted: medians of
 # 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, as the number of directions that the resulting plan evaluates in the same time. Fitted to 32 random
-# calls.
+# Cost of a search, as the number of directions that the plan from the search evaluates in the same time. Fitted to 32
+# random calls.
 _SEARCH_DIRECTIONS = 16_000
 # Limit: smallest number of directions for which a trial measures the rounding error in float32 of an explicit method
 # that adds powers. For fewer directions, the second that a trial requires is too expensive.
@@ -139,7 +139,7 @@ def _any_direction(
 ) -> DirectionRange:
     """Return the range of all pairs of a known direction and any direction of the hemisphere.
 
-    If ``known`` is None, both directions of a pair are any of the hemisphere.
+    If ``known`` is None, both directions of a pair may be any in the hemisphere.
     """
     max_uv = min_w = max_w = 0.0
     if known is None:
@@ -158,7 +158,8 @@ def _any_direction(
 def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
     """Return the plan for all directions of a range; a search tries it on a sample of the directions.
 
-    ``count`` is the number of directions, or of pixels if pixels show means over several directions.
+    ``count`` is the number of directions of the call, or its number of pixels if a pixel shows the mean over several
+    directions.
     """
     heightfield, tolerance, method = request.heightfield, request.tolerance, _method(request)
     refusals.check_integration(request)
@@ -188,7 +189,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def _method(request: Evaluation) -> str:
-    """Return the method of the request. If only ``integration`` is given explicitly, it is the low-rank expansion."""
+    """Return the method of the request; it is ``"low-rank"`` if only ``integration`` has an explicit value."""
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 

@@ -81,7 +81,7 @@ def _check_names(function: str, keywords: Mapping[str, object], known: set[str])
 
 
 def _with_options(text: str, options: list[Option]) -> str:
-    """Add options to the ``Args:`` section of a docstring; without this section, append one."""
+    """Add options to the ``Args:`` section of a docstring; append this section if the docstring has none."""
     text = inspect.cleandoc(text)
     entries = "\n".join(
         textwrap.fill(

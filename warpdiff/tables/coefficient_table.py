@@ -1,4 +1,4 @@
-"""Tables of the Fourier coefficients of a height field on a device, as the spectral kernels read them; cached."""
+"""Tables of the Fourier coefficients of a height field on a device, in the layout of the spectral kernels; cached."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of it, and each padded
-# length requires separately compiled kernels.
+# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number. Each
+# padded length requires separately compiled kernels.
 LANES = 8
 # Limit: smallest number of wavelengths in a quadrature.
 _FEWEST_WAVELENGTHS = 16
@@ -235,8 +235,8 @@ def table_for(
 ) -> Table:
     """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions. Calls within the plan's range use the plan's range, so that the
-    # same plan always gives the same results.
+    # A fitted basis depends on the range of directions for which it is computed. If the call is within the plan's
+    # range, the basis is computed for the plan's range. The same plan then always gives the same results.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,

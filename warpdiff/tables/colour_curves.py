@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Number of |w| at which the functions of w are tabulated, at least 32 per oscillation; cubics interpolate between them.
+# Number of |w| at which the functions of w are tabulated: at least 32 per oscillation. Cubics interpolate between them.
 _ENTRIES_OVER_W = 160
 # Lower limit of the scale of relative errors. The scale is the size of the colours at the same |w|, but at least this
 # share of their largest size over all |w|.
@@ -117,7 +117,7 @@ def make_projection(
     reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
     therefore includes it, and look-ups need no material.
     """
-    # At every |w| of this range, the |κ| of all visible wavelengths are within the range of the basis.
+    # The range of |w| for which the |κ| of all visible wavelengths are within the range of the basis.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
     weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
@@ -262,8 +262,8 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
-    # The fit of the colour curves extends beyond both ends of the visible range. The curves are 0 there, but the
-    # outermost splines are not.
+    # The fitted range extends beyond both ends of the visible range, because the outermost splines do. The curves are 0
+    # there.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
     # Colour curves are 0 outside of the visible range. Splines are functions of ln λ, so that dλ = λ d ln λ adds a

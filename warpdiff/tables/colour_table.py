@@ -191,14 +191,16 @@ def _fields(
     """Return the fields of the struct ``Colours`` without those of the layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # The lobes of a source have the same width in (u, v) at all wavelengths.
+    # The lobes of a source have the same width in (u, v) at all wavelengths, so that a width per unit of wavelength is
+    # 0.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Space for mip levels is allocated with level 0. On the CPU it requires no memory until rows are written.
+    # Space for mip levels is allocated together with level 0. On the CPU, the space is not in memory until rows are
+    # written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),

@@ -34,8 +34,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit: number of azimuth samples that 64-bit integers can represent. A table of this
-# size raises ``MemoryError`` later.
+# Limit: number of azimuth samples of a ring. Larger numbers would overflow 64-bit integers. Even a table of this size
+# raises ``MemoryError`` later.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -95,7 +95,7 @@ class MipLayout:
         """Return the layout for a source, whose spectrum is added to the azimuth samples of level 0 line by line."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # The splines of a look-up also use neighbouring rings on both sides.
+        # The spline of a look-up at the largest frequency also uses the rings beyond it.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -167,6 +167,6 @@ def megabytes(plan: Plan) -> float:
 
 
 def layout_of(plan: Plan) -> MipLayout:
-    """Return the layout of a plan's table, with mip levels if the plan requires them."""
+    """Return the layout of the table that a plan describes, with mip levels if its look-ups are blurred."""
     layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.covering(plan.direction_range).frequency)
     return layout.with_mip_levels() if has_mip_levels(plan) else layout

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 # Smallest |κ| of the basis, relative to the largest |κ|. At smaller |κ|, all orders except the zeroth one are
 # negligible.
 _SMALLEST_KAPPA = 1e-3
-# Limits on the error of truncating the functions of w, as shares of the tolerance. The first is for a basis of powers;
-# the second is for cardinal polynomials in |κ|, which large terms of opposite sign can cancel, and is therefore
-# stricter.
+# Limits on the error of truncating the functions of w, as shares of the tolerance. The first is for a basis of powers.
+# The second is for cardinal polynomials in |κ|: their sums may be much smaller than the single terms, so that this
+# limit is stricter.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # Number of coefficients from which the typical size of each basis term is estimated, and the smallest size that a term
 # is assumed to have, relative to the largest term.
@@ -241,7 +241,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of one octave and of the next rings to the grid, and projects them."""
+        """Return a function that adds the lines of one octave and of the rings beyond it to the grid, and projects."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -252,7 +252,8 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # Lines near the angles 0 and 2π are repeated beyond the other end, because their blur extends there.
+            # The blur of lines near the angles 0 and 2π extends beyond the other end. Copies of these lines are
+            # therefore added there.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Limits per height field: number of cached entries of each kind except colour tables, and total size of the cached
-# colour tables [bytes]. Memory is proportional to these limits.
+# Limits per height field. First number: cached entries of each kind, except colour tables. Second number: total size of
+# the cached colour tables [bytes]. Memory is proportional to these limits.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 

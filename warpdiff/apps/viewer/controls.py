@@ -46,7 +46,7 @@ EXCLUDED = (
     *("coherence", "material", "tangents"),
     # The command line that starts the viewer sets these options.
     *("device", "threads"),
-    # The viewer sets these options, because it refines a picture in stages down to the tolerance.
+    # The viewer sets these options itself: it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
     # The planner selects these options from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),

@@ -50,8 +50,8 @@ _REST_S = 0.15
 # doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
 # Longest times for rendering a preview during a movement [s]: about 15 and about 12 pictures per second. If a preview
-# is expected to require more than the first time, it gets fewer pixels, but not fewer than 320 × 240. A preview of 320
-# × 240 pixels may require the second time.
+# is expected to require more than the first time, it gets fewer pixels, but at least _LEAST_PIXELS. With so few pixels,
+# it may require the second time.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
@@ -214,8 +214,7 @@ class Studio:
         encoding.encoded(encoding.displayed(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
-        # Errors are ignored here. If they are real, they occur again with the first request of a page, and are sent to
-        # it.
+        # Errors are ignored here. They occur again with the first request of a page, and are then sent to it.
         with warnings.catch_warnings(), contextlib.suppress(Exception):
             warnings.simplefilter("ignore")
             self._prepare()

@@ -10,8 +10,8 @@ const canvas = document.getElementById("canvas");
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
-// Pixel filter [pixels]: width parameter of the Gaussian, distance at which it is truncated, and standard deviation of
-// the truncated Gaussian.
+// Pixel filter [pixels]: parameter σ of the Gaussian, distance at which it is truncated, and standard deviation of the
+// truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
 // Texels per side of a shadow map. With a single light, this many frames share one shadow map.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
@@ -632,7 +632,7 @@ function zoom(factor) {
     changed();
 }
 
-// Rotates all lights together, such that the first one gets the direction `towards`.
+// Rotates all lights together, so that the first one gets the direction `towards`.
 function turnLights(towards) {
     const from = unit(placed(lights[0])), axis = cross(from, towards), sine = Math.hypot(...axis);
     if (sine < 1e-9) return;
