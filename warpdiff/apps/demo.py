@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 _SCAN = info("corn_snake_scan")
 SCAN = _SCAN.local_name
 MESH = "fuze.obj"
-# Relative error of the pictures. Limit: with it the whole demonstration requires about 30 s. Twice the value doubles
-# the error.
+# Tolerance of the pictures. Limit: with this value, the whole demonstration requires about 30 s. If doubled, the
+# pictures have twice the error.
 _TOLERANCE = 5e-2
 
 
@@ -104,7 +104,7 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     size = pixels(1000)
 
     def shaded(mesh: Callable[[], Any], *scene: Any, **options: Any) -> Callable[[Progress], Image]:
-        # The mesh is built only when its picture is rendered, because some meshes require seconds.
+        # Each mesh is made only when its picture is rendered, because some meshes require seconds to make.
         return lambda progress: shade(mesh(), *scene, **options, tolerance=_TOLERANCE, progress=progress)
 
     def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:

@@ -23,8 +23,9 @@ from warpdiff.core import files
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Number of attempts to delete the temporary folders, and the pause between them. Limit: 0.1 s in total. Other threads
-# may still write into the folders. Twice the values delay the end of an interrupted process by 0.1 s.
+# Number of attempts to delete the temporary folders, and pause between two attempts, in total 0.1 s. Several attempts
+# are necessary, because other threads may still write into the folders. Doubled values delay the end of an interrupted
+# process by another 0.1 s.
 _SWEEPS, _BETWEEN_SWEEPS_S = 20, 0.005
 
 
@@ -44,8 +45,8 @@ class Interruption:
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
         # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
         atexit.register(self._ignore)
-        # Other packages, such as compilers, and child processes put temporary files into the folder of ``TMPDIR``. This
-        # process gets its own folder, which is deleted at its end.
+        # Compilers and other programs that this process starts put their temporary files into the folder of ``TMPDIR``.
+        # This process sets ``TMPDIR`` to a folder of its own, which it deletes at its end.
         with contextlib.suppress(OSError):
             self._temporary = tempfile.TemporaryDirectory(prefix="warpdiff-", ignore_cleanup_errors=True)
             os.environ["TMPDIR"] = tempfile.tempdir = self._temporary.name
@@ -63,7 +64,7 @@ class Interruption:
         Args:
             code: Exit code of the command. It becomes 1 if standard output cannot be written.
         """
-        # From this assignment on, the signal handler ends the process at once.
+        # From now on, a signal ends the process at once instead of raising an exception.
         self._returned = True
         is_complete = flush_streams()
         if self._code is not None:
@@ -82,7 +83,7 @@ class Interruption:
         raise KeyboardInterrupt
 
     def _swallowed(self, unraisable: Any) -> None:
-        """Handle an exception in a finalizer, which Python would discard: an interruption ends the process at once."""
+        """End the process if an interruption was raised in a finalizer, where Python would discard the exception."""
         if self._code is not None and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._leave(self._code)
         self._unraisable(unraisable)
@@ -91,7 +92,8 @@ class Interruption:
         """Delete unfinished files and temporary folders, and end the process without waiting for other threads."""
         try:
             files.discard_unfinished()
-            # Another thread, such as a compilation, may write into a folder during its deletion.
+            # Another thread, such as a compilation, may write into a folder while it is deleted. The deletion is then
+            # repeated.
             for _ in range(_SWEEPS):
                 folders = self._folders()
                 for folder in folders:
@@ -105,7 +107,7 @@ class Interruption:
     def _folders(self) -> list[Path]:
         """Return the temporary folders of this process that still exist."""
         folders = [Path(self._temporary.name)] if self._temporary is not None else []
-        # Warp compiles kernels in folders whose names contain the process's number.
+        # Warp compiles kernels in folders whose names contain the number of the process.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
         if kernels:
             folders += Path(kernels).glob(f"*_p{os.getpid()}_t*")
@@ -113,7 +115,7 @@ class Interruption:
 
 
 def prepare_streams() -> None:
-    """Open the null device for closed standard streams, and print characters that the encoding lacks as "?"."""
+    """Replace closed standard streams by the null device, and characters that the encoding lacks by "?"."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -138,6 +140,7 @@ def flush_streams() -> bool:
             is_complete = stream is not sys.stdout
             if not is_complete and not isinstance(error, BrokenPipeError):
                 os.write(2, f"warpdiff: standard output: {error.strerror}\n".encode())
-            # Python flushes the streams again when it ends. Writing to the null device prevents a second error message.
+            # Python flushes the streams again at the end of the process. The failed stream is connected to the null
+            # device, which prevents a second error message.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     return is_complete

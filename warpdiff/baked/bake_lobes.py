@@ -44,23 +44,24 @@ _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5),
 # Wavelength at which the grid of a table must resolve a lobe [µm]. Lobes of shorter wavelengths are narrower, but
 # contribute little to the visible colour.
 _BLUE_UM = 0.43
-# Largest truncation error of the functions of w, as a share of the tolerance; and relative tolerance of the sampled
-# XYZ, per unit of the accepted ΔE2000.
+# First number: largest error of truncating the functions of w, as a share of the tolerance. Second number: relative
+# tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# Typical number of sampled colours, and limit on their estimated time [s on one core]. For a source of 2° over a patch
-# of 12.8 µm, the estimate is 83 s and the measured time is 25 s.
+# Typical number of colours that a table samples, and limit on the estimated time of sampling them [s on one core]. The
+# estimate is an upper limit: for a source of 2° over a patch of 12.8 µm, it is 83 s, and the measured time is 25 s.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
-# Smallest sampled |w|. Smaller |w| occur only if light and view are both grazing; colours are then proportional to w².
+# Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
+# their colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
 # Number of entries of a table over |w|, and over |κ| for the zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
-# Grid of a baked material's reflectance: number of cos θd, and spacing of the wavelengths [nm].
+# Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# Size of both halves of the validation set (uniform directions, and bright ones), number of random candidates from
-# which they are selected, and random seed.
+# Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
+# from which they are selected, and random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# Luminance Y to which colours are normalised before ΔE2000 is computed. Colours below the second number, relative to
-# the reference luminance, are normalised together and remain darker.
+# First number: luminance Y to which each colour is scaled before ΔE2000 is computed. Second number: floor, as a share
+# of the reference luminance. All colours below the floor are scaled by the same factor and remain darker than Y.
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170
@@ -80,7 +81,7 @@ def bake(
     Web pages and other renderers can use the table without the height field and without this library.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose colours are baked.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.
@@ -133,7 +134,7 @@ def bake(
 
 
 class _Bakery:
-    """Computation of baked tables: look-up of a height field's colours, and a validation set of directions."""
+    """Computation of baked tables of one height field; it measures their errors on a validation set of directions."""
 
     def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance
@@ -150,7 +151,8 @@ class _Bakery:
             threads=evaluation.threads,
         )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
-        # The number of Chebyshev nodes of |w| follows from the oscillations of a power at the shortest wavelength.
+        # The number of Chebyshev nodes of |w| is proportional to the phase by which a power oscillates over w at the
+        # shortest wavelength, plus a margin.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
@@ -232,7 +234,7 @@ class _Bakery:
         return np.asarray(xyz.numpy().astype(np.float64))
 
     def _between_nodes(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return interpolation weights of the Chebyshev nodes of |w|, shape (n, nodes); constant below the nodes."""
+        """Return weights that interpolate from the Chebyshev nodes of |w| to ``w``, shape (n, nodes)."""
         return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -244,7 +246,7 @@ class _Bakery:
 
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
-        """Return the fewest orthonormal functions of |w| that meet their share of the tolerance, shape (nodes, K)."""
+        """Return as few orthonormal functions of |w| as their share of the tolerance permits, shape (nodes, K)."""
         samples = self._over_w(self._sampled(_SEED + 1)[0][:, :2])
         sizes = np.sqrt(np.mean(samples**2, axis=2, keepdims=True))
         rows = (samples / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
@@ -259,7 +261,7 @@ class _Bakery:
         return np.asarray(basis)
 
     def _error(self, colours: NDArray[Any]) -> float:
-        """Return the 99th percentile of ΔE2000 over the uniform or the bright validation directions, the larger one.
+        """Return the 99th percentile of ΔE2000: the larger one of those over uniform and over bright directions.
 
         The zeroth order is excluded, because table and reference have the same closed form for it.
         """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of entries over |κ|, for the functions of κ and for the zeroth order.
+# Number of tabulated |κ|, both for the functions of κ and for the power of the zeroth order.
 _ENTRIES = 512
 
 
@@ -41,7 +41,7 @@ def bake_spectrum(
     times the standard deviation of a lobe for σ = 16.25 µm.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose power spectrum is baked.
         size: Number of cells along each side.
         tolerance: Truncation error of the basis in κ, relative as for :func:`warpdiff.spectral_reflectance`.
         coherence: Averaged window, whose lobes have the same width in q at all wavelengths; None has σ = 16.25 µm.
@@ -98,7 +98,7 @@ def bake_spectrum(
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
-    """Return the means of the Gaussians exp(−(falloff (q − q_r))²) over the cells of an axis, shape (size, orders)."""
+    """Return the means of the Gaussians exp(−(falloff (q − q_r))²) over the cells of an axis, (size, orders)."""
     from scipy.special import erf
 
     edges = np.linspace(-largest, largest, size + 1)

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)|, that of two unit vectors at grazing angles.
 _LARGEST = 2.0
-# Radius of the innermost ring relative to the standard deviation of a lobe. Within this radius, colours are constant.
+# Radius of the innermost ring, as a share of the standard deviation of a lobe. Within this radius, colours are
+# constant.
 _FLAT_WITHIN = 0.05
 
 
 def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
-    """Return the polar grid of baked lobes, by rings per octave and azimuth samples per ring of each octave."""
+    """Return the polar grid of baked lobes, given its rings per octave and the azimuth samples in each octave."""
     return PolarGrid(rings, math.log(_LARGEST) - ring_of_largest(rings, azimuths) * math.log(2.0) / rings, azimuths)
 
 
@@ -35,7 +36,7 @@ def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
 
 
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
-    """Return the grid for lobes of a standard deviation ``width`` in (u, v), by azimuth samples per ``width``."""
+    """Return the grid that resolves lobes of a standard deviation ``width`` in (u, v), with samples per ``width``."""
     octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
     tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
     return lobe_grid(rings, tuple(azimuth_counts(tops, width, azimuths_per_width).astype(int).tolist()))
@@ -77,7 +78,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the weights of the coefficients at −1, 0, 1 and 2 in a cubic B-spline at positions t from 0 to 1."""
+    """Return the weights of the spline coefficients at −1, 0, 1 and 2, for a cubic B-spline at t from 0 to 1."""
     left = 1.0 - t
     return [
         left**3 / 6.0, 2.0 / 3.0 - t**2 + t**3 / 2.0, 2.0 / 3.0 - left**2 + left**3 / 2.0, t**3 / 6.0

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Largest |w| of a scattering vector (u, v, w), for light and view along the normal.
 LARGEST_W = 2.0
-# Largest |κ| of the zeroth order, derived from the largest |w| and the shortest visible wavelength [1/µm].
+# Largest |κ| at which the zeroth order is tabulated [1/µm]. Derived: largest |w| over shortest visible wavelength.
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
 # Limit: number of functions of w, so that a shader can store their values in its registers.
 MOST_W_BASIS = 16
@@ -31,7 +31,7 @@ MOST_W_BASIS = 16
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
-# Limits on the grid of a loaded file: rings per octave, octaves, and azimuth samples per ring.
+# Limits on the grid that a loaded file may have: rings per octave, octaves, and azimuth samples per ring.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 # Limits on arguments: size of a Cartesian grid [cells per side], and wavelength at which a lobe's variance is computed
 # [µm].
@@ -176,7 +176,7 @@ class BakedLobes(table_files.SavedTable):
         return np.asarray(result, dtype=np.float32)
 
     def cartesian(self, size: int = 1024) -> NDArray[np.float32]:
-        """Return the coefficients at the cell centres of a Cartesian grid over (u, v); 0 outside the disc |(u, v)| ≤ 2.
+        """Return the coefficients c_k at the cell centres of a Cartesian grid over (u, v); 0 where |(u, v)| exceeds 2.
 
         Args:
             size: Number of cells from −2 to 2 along each axis, 2 to 2048.
@@ -199,7 +199,7 @@ class BakedLobes(table_files.SavedTable):
     def reflectance(
         self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
-        """Return the colours that :func:`warpdiff.reflectance` computes, with an error of ``error``.
+        """Return colours like :func:`warpdiff.reflectance`; ``error`` is the 99th percentile of their ΔE2000.
 
         Args:
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.

@@ -24,8 +24,9 @@ class BakedSpectrum(table_files.SavedTable):
     """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
     q is (u, v)/λ, and κ is w/λ. Each cell contains the mean over its area, so that the total power does not depend on
-    the size of the cells. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²). With the zeroth order, the
-    integral of 4πσ² times the power over q is Σ|H|² = 1. Files contain the attributes by name.
+    the size of the cells. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²), which ``zeroth`` stores.
+    Together, cells and zeroth order are normalised: 4πσ² times the integral of the power over q is Σ|H|² = 1. Files
+    contain the attributes by name.
 
     Attributes:
         sigma_um: Standard deviation σ of the window [µm].

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class SavedTable:
-    """Base class of tables with a file format: a file contains the attributes by name, unless a subclass differs.
+    """Base class of tables that can be saved: a file contains all attributes by name, unless a subclass overrides it.
 
     Attributes:
         FORMAT: Value of ``format`` in the file.
@@ -30,7 +30,7 @@ class SavedTable:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """Return the table of a file's arrays; raise an exception of any type if they do not describe such a table."""
+        """Make a table from a file's arrays. If the arrays do not describe one, an exception of any type is raised."""
         return cls(**{name: value if value.ndim else float(value) for name, value in arrays.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
 _T = TypeVar("_T")
-# One lock for all caches, because each call is short. A fork of the process waits until no thread has the lock.
+# All caches share one lock, because it is held only briefly. A fork of the process waits until no thread holds it.
 _lock = forks.lock()
 
 
@@ -43,8 +43,8 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # Only the position of the key in the order of use changes. The stored key is not replaced by the
-                # caller's equal key, which the caller may modify later.
+                # Only the position of the key in the order of use changes. The key of the caller is equal but is not
+                # stored, because the caller may modify it later.
                 self._values.move_to_end(key)
             return value
 
@@ -81,7 +81,7 @@ class LruCache(Generic[_T]):
             return sum(self._bytes_of(value) for value in self._values.values())
 
     def _trim(self) -> None:
-        """Remove the least recently used values until number and size of the others are within the limits."""
+        """Remove the least recently used values until number and total size of the rest are within the limits."""
         for oldest in list(self._values)[:-1]:
             if len(self._values) <= self._most and self.nbytes <= self._most_bytes:
                 break

@@ -27,17 +27,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Limit on the size of all files together [bytes]. Twice the limit only uses more disk space.
+# Limit on the total size of all files [bytes]. A larger limit only uses more disk space.
 MOST_BYTES = 2**30
-# Shortest computation whose arrays are written to a file [s]. Limit: faster computations are repeated in each process.
+# Shortest time of a computation whose arrays are stored in a file [s]. Faster computations are repeated in each
+# process.
 _LEAST_SECONDS = 0.25
 # Size of a SHA-256 checksum [bytes].
 _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
 _TEMPORARY = re.compile(rf"\.warpdiff-[0-9a-f]{{16}}\{_UNFINISHED}")
-# Time since the last write to an unfinished file after which the file is deleted [s]. Limit: a process that has not
-# written for an hour was probably killed.
+# Time after which an unfinished file without a new write is deleted [s]. Limit: a process that has not written for an
+# hour was probably killed.
 _STALE_SECONDS = 3600.0
 
 
@@ -88,11 +89,12 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
 def _code_digest(*folders: Path) -> str:
     """Return a hash of all source files in folders.
 
-    The hash changes with every edit that may change arrays. A version number would not change with an edit.
+    The hash is a part of the cache's keys, so that arrays of older source code are not reused. A version number does
+    not change with each edit.
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Symbolic links without a target are skipped. Some editors mark an open file by such a link.
+        # Symbolic links without a target are skipped. Some editors make such a link to mark a file as open.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -106,7 +108,7 @@ def cache_folder() -> Path | None:
     try:
         return _user_folder()
     except RuntimeError:
-        # pathlib raises this error if the user has no home folder.
+        # pathlib raises RuntimeError if the user has no home folder.
         return None
 
 
@@ -121,7 +123,7 @@ def _user_folder() -> Path:
 def _read(path: Path, key: bytes) -> dict[str, Any] | None:
     """Return the arrays of a file; delete a file that is damaged or has another key, and return None."""
     arrays = None
-    # A damaged archive makes NumPy and zipfile raise errors of many types.
+    # NumPy and zipfile raise errors of many types for a damaged archive.
     with contextlib.suppress(Exception), path.open("rb") as file:
         if file.read(_CHECKSUM_BYTES) == _checksum(file, key):
             file.seek(_CHECKSUM_BYTES)
@@ -131,7 +133,8 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
         if arrays is None:
             path.unlink()
         else:
-            # The modification time of a file records its last use. In a read-only folder it cannot be changed.
+            # The modification time of a file is set to the time of its last use. In a read-only folder this fails and
+            # is ignored.
             os.utime(path)
     return arrays
 
@@ -139,7 +142,8 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
 def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
     """Write arrays to a file of the cache: a checksum, followed by a NumPy archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # The checksum reveals a file that a crash of the system has left incomplete.
+    # The new file is not flushed to the disk, so that a crash of the system may leave it incomplete. The checksum
+    # detects this.
     with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
         file.write(bytes(_CHECKSUM_BYTES))
         np.savez(file, **arrays)
@@ -162,7 +166,7 @@ def entries(folder: Path) -> list[Entry]:
 def trim(folder: Path, most_bytes: int) -> None:
     """Delete the least recently used files until the others have at most ``most_bytes`` in total.
 
-    Old unfinished files, of processes that were killed, are deleted, too.
+    Old unfinished files, which killed processes have left, are deleted, too.
     """
     total = 0
     for _, size, path in entries(folder):
@@ -170,7 +174,7 @@ def trim(folder: Path, most_bytes: int) -> None:
         if total > most_bytes:
             path.unlink(missing_ok=True)
     for changed, _, path in _matching_files(folder, _TEMPORARY):
-        # Newer unfinished files are not deleted, because other processes may still be writing them.
+        # Recent unfinished files are not deleted, because other processes may still be writing them.
         if changed < time.time() - _STALE_SECONDS:
             path.unlink(missing_ok=True)
 

@@ -32,12 +32,12 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
     try:
-        # `os.open` sets the file's permissions by the umask of the process. Python could read the umask only by
-        # changing it for a moment, which would affect other threads.
+        # `os.open` sets the permissions of the new file by the umask of the process. To read the umask, Python would
+        # have to change it for a moment, which would affect other threads.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # Some file systems allocate space late, and report only in `fsync` that the disk is full.
+            # Some file systems allocate space late. Only `fsync` then reports that the disk is full.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)
@@ -98,7 +98,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Context for checking a value that was read from a file. Its errors name the file instead of the argument.
+    """Context for checking a value that was read from a file; errors name the file instead of an argument.
 
     Args:
         argument: Argument that the errors in the context name.

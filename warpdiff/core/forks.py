@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
-# Packages that are imported at first use and slowly. Another thread may be importing one of them during a fork.
+# Packages whose import is slow and happens at first use. When the process forks, another thread may be importing one of
+# them.
 _SLOW_PACKAGES = {"OpenImageIO", "PIL", "colour", "numpy", "scipy", "trimesh", "warp", "warpdiff"}
 REMEDY = "start processes with multiprocessing.get_context('spawn'), or fork where no other thread compiles or renders"
 
@@ -40,7 +41,8 @@ def lock() -> threading.RLock:
 class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after the standard library's)
     """Cached property without a lock. Two threads may compute the value at the same time.
 
-    The cached property of Python 3.11 has one lock for all objects of a class.
+    In Python 3.11, ``functools.cached_property`` has one lock for all objects of a class, so that threads would wait
+    for each other.
     """
 
     def __init__(self, compute: Callable[..., _T]) -> None:
@@ -70,7 +72,8 @@ def finish_imports() -> None:
     """Wait until no other thread is importing a slow module."""
     while names := importing():
         for name in names:
-            # Importing the module waits for the other thread. If the import fails, the other thread raises the error.
+            # An import of the same module waits until the other thread has finished. If the import fails, the other
+            # thread reports it.
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
 

@@ -14,16 +14,17 @@ from warpdiff.core.wording import marked
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Limit on the number of elements of an array, because kernels index arrays by an int32; a larger index overflows.
+# Limit on the number of elements of an array. Kernels index arrays by int32; larger indices would overflow.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Limits of a control group from this number on mean "no limit" [bytes]. Limit: no machine has so much memory.
+# Memory limits of a control group that are at least this large mean "no limit" [bytes]. Limit: no machine has so much
+# memory.
 _NO_LIMIT = 2**60
-# Pattern of the messages of failed allocations. NumPy raises a MemoryError, Warp a RuntimeError.
+# Pattern of the messages of failed allocations, in a MemoryError of NumPy or a RuntimeError of Warp.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# Peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per face], as
-# measured. Twice the values refuse requests that would fit.
+# Measured peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per
+# face]. If doubled, requests that would fit are refused.
 _BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
 
@@ -41,7 +42,7 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
     """
     free = available()
     if needed > free:
-        # The factor of 0.9 leaves a margin for the rounding to two digits.
+        # The factor of 0.9 ensures that the request still fits after the fraction is rounded to two digits.
         share = 0.9 * max(free, 0.0) / needed
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         size = f"about {needed / 1e9:.2g} GB, and {max(free, 0.0) / 1e9:.2g} GB are free"
@@ -78,7 +79,8 @@ def available() -> float:
     for limit, usage, statistics in _limits_of_groups():
         with contextlib.suppress(OSError, ValueError):
             numbers = dict(line.split() for line in statistics.read_text().splitlines())
-            # Memory of cached inactive files counts as free, because the operating system releases it when needed.
+            # Memory for cached files that are not in use counts as free, because the operating system releases it on
+            # demand.
             cached_files = int(numbers.get("total_inactive_file", numbers.get("inactive_file", "0")))
             free = min(free, float(limit - int(usage.read_text()) + cached_files))
     return free
@@ -100,10 +102,10 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             most, usage = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
             top = _GROUPS / controllers
             group = top / path.lstrip("/")
-            # Every parent group may have a limit too. In a container only the top group is visible.
+            # Every parent group may have a limit, too. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # Without a limit the file contains "max", or a huge number in version 1.
+                    # A group without a limit has the text "max" in this file, or, in version 1, a huge number.
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:
                         limits.append((limit, folder / f"memory.{usage}", folder / "memory.stat"))
@@ -114,22 +116,22 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
 def as_memory_error(what: str, remedy: str) -> Iterator[None]:
     """Context that converts failed allocations of NumPy and Warp into a ``MemoryError`` with a remedy.
 
-    A check before work starts is not enough: other processes may allocate memory meanwhile, and the address space may
-    be smaller than the free memory.
+    :func:`require_memory` before the work is not enough: other processes may allocate memory meanwhile, and the address
+    space of this process may be smaller than the free memory.
 
     Args:
         what: Noun phrase that names the object, for the message.
         remedy: Advice, for the message.
 
     Raises:
-        MemoryError: An array did not fit.
+        MemoryError: An allocation in the context failed.
     """
     try:
         yield
     except (MemoryError, RuntimeError) as error:
         refused = _REFUSED.search(str(error))
         if refused is None and (error.args or not isinstance(error, MemoryError)):
-            # The error is not a failed allocation, or it is a ``MemoryError`` that already has a remedy.
+            # Either the error is not a failed allocation, or it is a ``MemoryError`` that already contains a remedy.
             raise
         raise marked(MemoryError, _description(refused, what, remedy)) from error
 

@@ -12,13 +12,13 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Longest time that a fork waits for OpenImageIO calls of other threads [s]. After it the fork continues, and the child
-# process cannot use the library. Limit: twice the time delays such forks by another second.
+# Longest time that a fork waits for OpenImageIO calls of other threads [s]. After this time, the process forks anyway,
+# and the child process cannot use the library. If doubled, such forks are delayed by another second.
 _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """State of the library: number of active contexts that use it, and its thread counts outside of these contexts."""
+    """Access to OpenImageIO; it counts the active contexts and stores the thread counts that apply outside of them."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -64,7 +64,7 @@ class _Library:
         self._forking = True
         self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
-        # If another thread is importing the module at the moment, its functions do not exist yet.
+        # Another thread may be importing the module at the moment. Its functions do not exist yet in that case.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set_threads(1)
 

@@ -9,7 +9,7 @@ from typing import Any
 from warpdiff.core.wording import ArgumentTypeError, ref
 
 Progress = Callable[[float], None] | bool | None
-# Time after which a progress bar appears [s]. With twice the value, a user waits 2 s without a sign of progress.
+# Time after which a progress bar appears [s]. If doubled, a user waits 2 s without a sign of progress.
 _DELAY_S = 1.0
 
 

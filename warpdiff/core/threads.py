@@ -29,7 +29,7 @@ _T = TypeVar("_T")
 
 
 class _None:
-    """Type of the object that marks the end of the items, because None may be an item."""
+    """Type of a marker for the end of a loop's items; None cannot mark it, because None may be an item."""
 
 
 _NONE = _None()
@@ -48,9 +48,9 @@ class _Work(Generic[_T]):
         self._futures: list[Future[None]] = []
 
     def finish(self, threads: int) -> None:
-        """Run the loop on this thread and at most ``threads`` − 1 others. The first error ends the loop."""
+        """Run the loop on this thread and on at most ``threads`` − 1 others. The first error ends the loop."""
         others = min(threads, self._count) - 1
-        # If the loop needs more threads than the shared pool has, it gets its own pool, which ends with the loop.
+        # If the loop uses more threads than the shared pool has, it makes a pool of its own, which ends with the loop.
         own = ThreadPoolExecutor(others) if others > cores() else None
         # If the system cannot start another thread, the loop continues on fewer threads.
         with contextlib.suppress(RuntimeError):
@@ -60,8 +60,8 @@ class _Work(Generic[_T]):
             self._run()
         finally:
             if not self._is_cut_off:
-                # Tasks that have not started are cancelled. Waiting for them could deadlock, because all threads of the
-                # pool may be waiting for this thread.
+                # Tasks that no thread has started yet are cancelled and not awaited. Waiting for them could deadlock,
+                # because all threads of the shared pool may be waiting for this thread.
                 self._futures = [future for future in self._futures if not future.cancel()]
                 wait(self._futures)
                 if own is not None:
@@ -82,7 +82,7 @@ class _Work(Generic[_T]):
                 self._work(item)
                 self._report()
         except BaseException:
-            # After an error, items that no thread has started are not processed.
+            # After an error, the items that no thread has started are skipped.
             self._remaining = iter(())
             raise
 
@@ -124,7 +124,7 @@ def subprogress(progress: Callable[[float], None] | None, begin: float, end: flo
 
 
 def slices_of(size: int, *, least: int, most: int, threads: int) -> Iterator[range]:
-    """Yield consecutive ranges that cover 0 to ``size``, of decreasing length from ``most`` to ``least``.
+    """Yield consecutive ranges that together are 0 to ``size``. Their lengths decrease from ``most`` to ``least``.
 
     With short ranges at the end, all threads finish at about the same time.
     """
@@ -149,7 +149,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
 
 
-# A child process does not have its parent's threads and must make a new pool.
+# A forked child process does not have the threads of its parent's pool. It must make a new pool.
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
@@ -182,15 +182,15 @@ def single_threaded_blas() -> Iterator[None]:
 
 
 def _has_count_per_thread(library: LibController) -> bool:
-    """Whether each calling thread of a library has its own setting of the number of threads (OpenMP)."""
+    """Whether a library stores the number of its threads separately for each calling thread, as with OpenMP."""
     return bool(library.threading_layer == "openmp")
 
 
 def _set(library: LibController, number: int) -> None:
     """Set the number of threads of a library.
 
-    threadpoolctl accepts settings only from the first thread that has made one. Clearing the record of this thread
-    allows settings from any thread.
+    threadpoolctl records the first thread that has set the number, and refuses settings from other threads. Before and
+    after the setting, this record is therefore cleared.
     """
     if hasattr(library, "clear_controlling_thread"):
         library.clear_controlling_thread(force=True)
@@ -219,7 +219,7 @@ forks.at_fork(after_in_child=_end)
 def _libraries(_with_scipy: bool) -> list[LibController]:
     """Return the loaded libraries of linear algebra.
 
-    The argument is only a key of the cache: it separates the list before SciPy has loaded its own library from the list
-    after.
+    SciPy loads a library of its own when ``scipy.linalg`` is imported. The argument only makes the cache store two
+    lists: one from before this import and one from after it.
     """
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

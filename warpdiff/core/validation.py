@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _Choice = TypeVar("_Choice", bound=str | int)
-# Largest and smallest magnitude of a number, in any unit. Limit: powers of numbers beyond overflow or vanish.
+# Largest and smallest magnitude of a number, in any unit. Limit: powers of larger or smaller numbers overflow or
+# underflow.
 MOST, LEAST = 1e15, 1e-15
-# Limit on integers, the largest int64; larger ones overflow.
+# Largest accepted integer, that of int64; larger ones would overflow.
 MOST_COUNT = 2**63 - 1
 # Vectors whose components are multiples of this angle, the largest within these limits, look like degrees. Limit:
 # components of directions are rarely as long and as round.
@@ -48,7 +49,7 @@ def finite_array(
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     array = np.array(numbers, dtype=np.float64)
     if isinstance(value, np.ma.MaskedArray):
-        # The data of a masked element may be any number, such as an instrument's code for "no signal".
+        # The array may contain any number at a masked element, for example an instrument's code for "no signal".
         array[np.ma.getmaskarray(value)] = np.nan
     if ndim is not None and array.ndim != ndim:
         raise ArgumentValueError(f"{ref(name)} must be a {ndim}-D array, got shape {array.shape}")
@@ -158,7 +159,7 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
         raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
     single = array.ndim == 1
     array = np.atleast_2d(array)
-    # Division by the largest component first prevents underflow and overflow of the squares.
+    # The vector is first divided by its largest component. Its squares then neither underflow nor overflow.
     largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
     if not np.all(largest > 0.0):
         raise ArgumentValueError(
@@ -212,13 +213,14 @@ def choice(value: object, name: str, options: Collection[_Choice]) -> _Choice:
 
 
 def path(value: object, name: str) -> Path:
-    """Return ``value`` as a path; raise an error for other types and for names that the system does not accept."""
+    """Return ``value`` as a path; raise an error for other types and for file names that the system does not accept."""
     if not isinstance(value, (str, os.PathLike)):
         raise ArgumentTypeError(f"{ref(name)} must be a string or a path, got {type(value).__name__}")
     try:
         os.lstat(value)
     except (ValueError, OSError) as error:
-        # The operating system refuses NUL characters, unpaired surrogates and names of thousands of characters.
+        # The operating system refuses file names that contain NUL characters or unpaired surrogates, or are thousands
+        # of characters long.
         if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
             raise ArgumentValueError(f"{ref(name)} must be a name that a file can have, got {value!r}") from None
     return Path(os.fsdecode(value))

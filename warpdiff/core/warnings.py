@@ -11,7 +11,8 @@ from warpdiff.core.wording import WarpdiffWarning
 if TYPE_CHECKING:
     from types import FrameType
 
-# Modules whose stack frames are skipped to find the user's code. contextlib calls decorated functions of the package.
+# Packages whose stack frames are skipped in the search for the user's line of code. contextlib is one of them, because
+# it calls decorated functions of this package.
 _INNER = (__name__.partition(".")[0], "contextlib")
 
 

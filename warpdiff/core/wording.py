@@ -44,7 +44,7 @@ def spelled(message: object, word: Callable[[str, str | None], str] = python_wor
 
 
 class _MarkedError(Exception):
-    """Error with two forms of its message: a plain text, and the attribute ``marked`` with marked arguments."""
+    """Error with two forms of its message: a plain text, and ``marked``, in which arguments are marked."""
 
     def __init__(self, marked: str = "") -> None:
         self.marked = marked
@@ -63,7 +63,7 @@ class ArgumentTypeError(_MarkedError, TypeError):
 
 
 def marked(kind: type[_E], message: str) -> _E:
-    """Return an error of another class, such as ``MemoryError``, whose message marks arguments by :func:`ref`."""
+    """Return an error of another class, such as ``MemoryError``; in ``message``, :func:`ref` has marked arguments."""
     error = kind(spelled(message))
     error.__dict__["marked"] = message
     return error

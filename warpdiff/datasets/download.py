@@ -17,9 +17,10 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from warpdiff.datasets.registry import Dataset
 
-# Subfolder of the disk cache's folder for downloads. Trimming and clearing of the cache does not delete them.
+# Subfolder for downloads in the folder of the disk cache. When the cache is trimmed or cleared, downloads are not
+# deleted.
 _SUBFOLDER = "datasets"
-# Accepted image modes, by Pillow's names: 8 bits per channel, grey or colour, without or with alpha.
+# Accepted image modes, by Pillow's names: grey or colour with 8 bits per channel, without or with alpha.
 _MODES = ("L", "LA", "RGB", "RGBA")
 
 

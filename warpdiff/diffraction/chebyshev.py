@@ -39,7 +39,7 @@ def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> N
 
 
 def cubic_weights(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the weights of values at −1, 0, 1 and 2 in the cubic through them, at positions t from 0 to 1."""
+    """Return the weights of the values at −1, 0, 1 and 2 in the cubic through them, evaluated at t from 0 to 1."""
     before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
     return [
         -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0

@@ -1,10 +1,10 @@
 """Expansion of Fourier coefficients in functions of κ: each coefficient is a row of weights times a shared basis.
 
 ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
-are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the range of κ of a scene:
+are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the range of κ that a call requires:
 
-- ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. If
-  powers add, its rows are half as long and need not be squared.
+- ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. Its
+  rows are half as long as those of amplitudes and need not be squared. It is available only if powers add.
 - ``"low-rank"``: the principal functions of κ of the height field's own coefficients. The basis expands powers if
   powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
   Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
@@ -33,32 +33,34 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Entries of the table of a basis per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}. Cubic
-# interpolation has an error of 0.023/16⁴ = 4e-7. Amplitudes of centred heights oscillate half as fast; their error is
-# 2e-8.
+# Entries of the table of a basis per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}. The error of cubic
+# interpolation is 0.023/16⁴ = 4e-7. If heights are measured from the middle of their range, amplitudes oscillate half
+# as fast, and their error is 2e-8.
 _STEPS_PER_RADIAN = 16
-# Fewest entries of the table, for shallow surfaces: their powers do not oscillate but grow as κ²ⁿ.
+# Smallest number of intervals in the table of a basis. It applies to shallow surfaces, whose powers do not oscillate
+# but grow as κ²ⁿ.
 _FEWEST_STEPS = 64
-# Error of the truncated series to which bases are fitted, about the rounding error of float32.
+# Truncation error of the series to which bases are fitted, about the rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
-# Truncation error at which a fitted basis has enough terms, about the rounding error of float32.
+# Truncation error at which no further terms of a fitted basis are added, about the rounding error of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# Number of the largest coefficients, which have the same total weight in a fit as all others. The specular reflection
-# is one coefficient of a million.
+# Number of the largest coefficients, which together have the same weight in a fit as all coefficients. Without this
+# weight, the specular reflection would be only one coefficient of a million.
 _STRONGEST_ROWS = 64
 # Number of coefficients on which truncation errors are measured.
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors that is reported; 0.1 % of the coefficients may have larger errors.
 _PERCENTILE = 99.9
-# Power of the rounding noise of the transforms, relative to the power of a mirror. In a fit, coefficients with less
-# power have the weight of this noise.
+# Power of the rounding noise of the Fourier transforms, relative to the power of a mirror. In a fit, errors of a
+# coefficient are divided by its size, but at least by the size of this noise.
 _NOISE_POWER = 1e-26
-# Errors of coefficients are relative to |κ|, but to at least this share of the largest |κ|. A smaller share loses
-# digits of the specular coefficient, which does not vanish at κ = 0.
+# Errors of coefficients are divided by |κ|, but by at least this share of the largest |κ|. If the share is smaller, the
+# specular coefficient, which does not vanish at κ = 0, loses digits.
 _SMALL_KAPPA = 0.1
 # Limit: number of coefficients that are processed at once; memory is proportional to it.
 _CHUNK = 65_536
-# Limit on the values of a Taylor basis, within the range of float32; only series far beyond their range exceed it.
+# Limit on the values of a Taylor basis, within the range of float32. Only a series at a κ far beyond its range of
+# convergence in float32 exceeds the limit.
 _LARGEST = 1e30
 
 
@@ -72,7 +74,7 @@ class Coefficients:
         basis: Basis functions at |κ| = kappa_low − step, kappa_low, …, two steps beyond the range; float32, shape
             (entries, terms).
         kappa_low: Lower end of the range of |κ| [1/µm].
-        step: Distance of the entries [1/µm].
+        step: Difference in |κ| of neighbouring entries of ``basis`` [1/µm].
         truncation_errors: Errors of a fitted basis with the first n terms, n = 0 … terms, relative to the largest value
             of a coefficient in the range. Empty for a series, because its error has a known bound.
     """
@@ -98,7 +100,7 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Flat indices of the largest coefficients and their powers, descending, at a middle |κ| of the range."""
+        """Flat indices of the largest coefficients at a middle |κ| of the range, and their powers, descending."""
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
@@ -109,7 +111,7 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Return the smallest number of terms with a truncation error within a tolerance, or all terms."""
+        """Return the smallest number of terms whose truncation error is within a tolerance; at most all terms."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
@@ -151,13 +153,14 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """Expand the coefficients in a basis fitted to a range of |κ| [1/µm], up to the precision of float32.
+    """Expand the coefficients in a basis fitted to them over a range of |κ| [1/µm], with the accuracy of float32.
 
     ``method`` is ``"low-rank"`` or ``"power"``; ``series`` is the Jacobi-Anger series of ``series_terms`` terms.
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The Chebyshev nodes cover the whole |κ| range of the basis table, which avoids extrapolation.
+    # The Chebyshev nodes cover all entries of the basis table, which extend slightly beyond the range of |κ|.
+    # Extrapolation from the nodes is thus avoided.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -168,7 +171,7 @@ def fitted(
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
     # Towards κ = 0, all coefficients except the specular one vanish like κ, and their powers like κ². The weights make
-    # errors relative to these functions.
+    # errors relative to κ or κ².
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -198,7 +201,7 @@ def _radians_per_kappa(heightfield: HeightField) -> float:
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Return the step of |κ| in the table of a basis, the number of steps above the smallest |κ|, and the last |κ|."""
+    """Return the step of |κ| in a table of a basis, its number of steps above the least |κ|, and its last |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -223,7 +226,7 @@ def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[n
 def _principal_functions(
     values: NDArray[np.float32], weights: NDArray[np.float64], scales: NDArray[np.float32], strongest: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return orthonormal principal functions of κ at the nodes, by descending eigenvalue, shape (m, m)."""
+    """Return the orthonormal principal functions of all coefficients over κ, at m nodes, by size, shape (m, m)."""
     count = values.shape[-1]
     gram = np.zeros((count, count))
     for first in range(0, len(values), _CHUNK):
@@ -238,7 +241,7 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the largest weighted error over κ with 0, 1, … terms, at the percentile ``_PERCENTILE`` of the sample."""
+    """Return truncation errors with 0, 1, … terms: the percentile ``_PERCENTILE`` of coefficients' largest errors."""
     rows = sample @ principal
     remaining = sample.copy()
     result = [1.0]

@@ -2,7 +2,8 @@
 
 The sum has no expansion in κ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all height samples,
 and its spectrum is an explicit sum over these samples. The result includes every coefficient within eight standard
-deviations of the direction. For a finite number of periods, the result uses the spectrum at the direction itself.
+deviations of the direction. For a finite number of periods, there is no such neighbourhood: the spectrum is computed at
+the direction itself.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Distance of the farthest coefficient in the sum, in standard deviations of its Gaussian weight, which is e^−32 there.
+# Distance of the farthest coefficient that the sum includes, in standard deviations of the Gaussian weight. The weight
+# at this distance is e^−32.
 _WIDTHS = 8.0
 # Peak memory per entry of the arrays of phases and coefficients [bytes], counted from the code.
 _BYTES_PER_NUMBER = 64.0
@@ -73,15 +75,15 @@ def _coefficient_sum(
     wavelength: float, to_light: NDArray[np.float64] | None,
 ) -> float:  # fmt: skip
     """Return the sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² for a centred window."""
-    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs and t the tangential part of the direction to the light.
-    # Windows are isotropic and have t = 0. A source is a disc on the sky; its projection to the surface is shorter
-    # along t.
+    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs. For a source, t is the tangential part of the direction
+    # to the light: a source is a disc on the sky, and its projection to the surface is shorter along t. For windows,
+    # which are isotropic, t = 0.
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # For a light direction with the component t along an axis, the Gaussian's standard deviation along this axis is
-    # multiplied by √(1 − t²).
+    # Cut-off along one axis, where t is the component of the direction to the light along this axis: the foreshortened
+    # Gaussian has √(1 − t²) times the standard deviation.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -93,8 +95,8 @@ def _coefficient_sum(
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # The product of indices in a phase is reduced modulo the number of samples before the multiplication by 2π, which
-    # preserves digits.
+    # In a phase, the product of indices is reduced modulo the number of samples before it is multiplied by 2π. Large
+    # phases would lose digits.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -112,14 +114,14 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """Return the factor a [µm²] in the weight exp(−a d²) of a coefficient at the distance d in frequency."""
+    """Return the factor a [µm²] of the weight exp(−a d²) of a coefficient, whose frequency differs by d from q."""
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Return the largest distance in frequency [1/µm] of a coefficient in the sum."""
+    """Return the largest difference in frequency [1/µm] between q and a coefficient that the sum includes."""
     # The standard deviation of exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
@@ -157,9 +159,9 @@ def _periods_power(
 
 
 def _interference(turns: float, periods: int) -> float:
-    """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, for a phase of t turns between periods."""
-    # The integer part of the phase t [turns] has no effect. Subtraction of the integer part before the multiplication
-    # by N preserves digits.
+    """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, with a phase of t turns per period."""
+    # Whole turns of the phase have no effect. They are subtracted before the multiplication by N, because large phases
+    # would lose digits.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

@@ -33,34 +33,37 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of orders whose energy factors are computed exactly. For more orders, factors are interpolated on a
-# grid of directions. The cost is proportional to the square of this number.
+# Largest number of orders for which ``order_efficiencies`` computes the energy factors exactly. For more orders, it
+# interpolates the factors on a grid of directions. The cost of exact factors is proportional to the square of this
+# number.
 MOST_EXACT = 600
-# Size of the grid of directions: elevations and azimuths. A finer grid has smaller errors and costs more.
+# Size of the grid of directions: number of elevations and of azimuths. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which neighbouring orders are summed [units of (u, v)], about the size of a grid cell.
+# Width of the bins in which neighbouring orders are summed [units of (u, v)], about the distance of two nodes of the
+# grid of directions.
 _BIN = 0.08
-# Limits of Sinkhorn's iteration: number of sweeps, and relative change that ends it.
+# Limits of Sinkhorn's iteration: largest number of sweeps, and relative change of the factors below which it ends.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# Number of table entries over |κ| per half radian of the oscillation of a power. Parabolas interpolate the power
-# between entries.
+# Number of table entries over |κ| per two radians of the fastest oscillation of a power. Parabolas interpolate the
+# power between entries.
 _PER_RADIAN = 6.0
 # Number of height fields whose factors are cached.
 _CACHED = 8
-# Number of pairs of direction and wavelength over which the factors of colours are averaged; the cost is proportional
-# to it.
+# Number of pairs of direction and wavelength by which the energy factors for colours are computed; the cost is
+# proportional to it.
 _LIGHTS = 4096
-# Range of wavelengths over which the factors of colours are averaged [nm]; it contains nearly all visible power.
+# Range of the wavelengths of these pairs [nm]; it contains nearly all visible power.
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Ratio of Roberts' recurrence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
 # Largest angle from the normal for which `AchromaticFactors.spread` is measured [radians].
 _STEEPEST = math.radians(80.0)
-# Number of wavelengths per band at which factors are computed, for linear interpolation, and the visible band [nm].
-# Other bands adjoin this band and have the same ratio of wavelengths. Factors therefore do not depend on the other
-# wavelengths of a call.
+# Number of wavelengths at which the factors of a band are computed, for linear interpolation, and the visible band
+# [nm]. Outside of the visible band, further bands with the same ratio of wavelengths follow. The bands are fixed, so
+# that factors do not depend on the other wavelengths of a call.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-# Largest number of incident directions whose sums over orders are made exactly 1.
+# Largest number of different incident directions for which the sums over orders are made exactly 1. With more
+# directions, that would require too much time.
 _MOST_LIGHTS = 64
 # Cosine from which a direction takes part in the normalisation with its full weight: 5.7° above the horizon. Fitted: of
 # 0.05 to 1 the most accurate orders of perfect mirrors (bench/reproduce/theory_verdict.py). If doubled, their mean
@@ -85,12 +88,12 @@ class Powers:
             highest_kappa: Largest |κ| [1/µm].
             bin_um: Largest width of a bin [1/µm]; 0 gives each order a bin of its own.
         """
-        # Number of terms of a polynomial in κ that represents a power.
+        # Argument, and number of terms, of the Chebyshev polynomial in κ that represents a power.
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-        # If the number of samples is even, the outermost orders on both sides are aliases of one coefficient. The
-        # coefficient is then copied, so that both sides have it.
+        # With an even number of samples, the two outermost orders, on opposite sides, are aliases of one another and
+        # share a coefficient. The coefficient is copied, so that both sides have it.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
             _block_starts(n, max(1, min(round(bin_um * length), n)))
@@ -109,14 +112,14 @@ class Powers:
             for first, n, length in zip(starts, counts, heightfield.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
-        # |(u, v)| and |w| are both at most 2, so that orders beyond the largest |κ| never propagate.
+        # As |(u, v)| and |w| are both at most 2, orders with a frequency |q| beyond the largest |κ| never propagate.
         reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
         self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the powers of the bins with the indices ``places``, each at its own |κ| [1/µm]."""
+        """Return the powers of the bins with the indices ``places``, each at the |κ| in ``kappas`` [1/µm]."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -139,18 +142,19 @@ def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
 def stam(
     cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is the tangential part of ωi·ωr."""
+    """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is ωi·ωr without the product of cosines."""
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
 
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Factor a as a function of direction and wavelength, on a grid.
+    """Energy factor a as a function of direction and wavelength, on a grid.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
-        values: Factors on the grid of ``grid_weights``, shape (k, n, m).
+        values: Factors for k wavelengths on the grid of ``grid_weights``, which has n elevations and m azimuths, shape
+            (k, n, m).
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -171,10 +175,10 @@ class EnergyFactors:
 
 @dataclass(frozen=True)
 class AchromaticFactors:
-    """Factor a as a function of direction only, for colours: it conserves the power of all wavelengths together.
+    """Energy factor a for colours, as a function of direction only: it conserves the total power of all wavelengths.
 
     Attributes:
-        values: Factors on the grid of ``grid_weights``, float32, shape (n, m).
+        values: Factors on the grid of ``grid_weights``, which has n elevations and m azimuths, float32, shape (n, m).
         spread: Relative deviation of the reflected power of single wavelengths and directions from the incident power:
             root mean square, weighted by the cosine, up to 80° from the normal.
     """
@@ -195,9 +199,9 @@ class AchromaticFactors:
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
     """Return the energy factors of a height field for colours, from the cache if possible.
 
-    The sum over orders of a single direction jumps when an order passes the horizon. The factors therefore balance
-    means over random lights of random wavelengths. The power of each light and of each order is distributed to the
-    nearest nodes of the grid.
+    For a single incident direction, the sum over orders jumps when an order passes the horizon. The factors therefore
+    balance averages over many incident directions and wavelengths. The power of each incident light and of each order
+    is distributed to the nearest nodes of the grid.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -207,12 +211,13 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # At the normal, all azimuth nodes of the grid are the same direction.
+        # The first row of the grid is the normal, where all azimuth nodes are the same direction.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # The weight of each light is its solid angle times cos θ. The lights are uniform in the polar angle.
+        # A light's weight is cos θ times the solid angle that it represents, which is proportional to sin θ, because
+        # the lights are uniform in the polar angle θ.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -237,8 +242,8 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
     Directions and wavelengths follow the additive recurrence of Roberts (2018) in three dimensions. The density of the
     wavelengths is proportional to the sum of the colour-matching functions under D65. Each direction is accompanied by
-    its mirror direction. If one order reflects nearly all light, sums determine only the product of the factors of both
-    directions; the mirror direction makes the two factors similar.
+    its mirror direction. If one order reflects nearly all light, the balance determines only the product of the factors
+    of the incident and the outgoing direction. With mirror directions, these two factors become similar.
     """
     places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi
@@ -271,7 +276,8 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # The variables y and x contain y/(|x| + |y|) and x/(|x| + |y|), the inverse of the formula in ``grid_weights``.
+    # The variable y contains y/(|x| + |y|), and the variable x contains x/(|x| + |y|). Both follow from the column, as
+    # the inverse of the formula in ``grid_weights``.
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -281,7 +287,7 @@ def _grid() -> NDArray[np.float64]:
 def _outgoing(
     powers: Powers, light: NDArray[np.float64], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the directions into which bins of orders diffract a light, (n, 3), and the efficiencies K, (n,)."""
+    """Return the n directions into which bins of orders diffract light, (n, 3), and their efficiencies K, (n,)."""
     # The coefficient at q diffracts into the direction ωr for which the tangential part of ωi + ωr is −λq.
     tangential = -powers.frequencies * wavelength_um - light[:2]
     upward2 = 1.0 - np.sum(tangential**2, axis=1)
@@ -294,7 +300,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """Return the energy factors on the grid of directions for the band around a wavelength [nm], cached if possible."""
+    """Return the energy factors for the band that contains a wavelength [nm], from the cache if possible."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band
@@ -316,7 +322,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the efficiencies K of lights (n, 3), at one wavelength each, distributed to the m grid nodes, (n, m)."""
+    """Return the efficiencies K of lights (n, 3), with a wavelength each, summed at the m grid nodes, shape (n, m)."""
     result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, efficiencies = _outgoing(powers, light, wavelength_um)
@@ -358,7 +364,7 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def sums_from(
     factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Return the sum of K a(ωr) over all orders for lights (n, 3), shape (n,); each order has a bin of its own."""
+    """Return the sum of K a(ωr) over all orders for lights (n, 3), shape (n,); ``powers`` has a bin for each order."""
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
         views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Length that replaces the size of a constant axis [µm], far below a wavelength. Order 0 is then the only order near any
-# direction, and its Gaussian weight does not change. A length near a wavelength would add other orders.
+# Length that replaces the size of an axis with a single sample [µm]. The length is far below a wavelength, so that the
+# order 0 is the only order near any direction. A length near a wavelength would add other orders.
 _CONSTANT_AXIS_UM = 0.01
 
 
@@ -37,9 +37,11 @@ class Grid:
 
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
-        lengths_um: Reciprocal spacing of the frequencies along (y, x) [µm]: the size of the patch, or a multiple of it.
-        taper: Weights of the rows and columns of samples, shapes (hy,) and (hx,), with the origin at the middle sample.
-            None means weights of 1 and the origin at the first sample.
+        lengths_um: Reciprocal of the spacing of the frequencies along (y, x) [µm]: the size of the patch, or a multiple
+            of it.
+        taper: Factors by which the rows and columns of height samples are multiplied before the transform, shapes (hy,)
+            and (hx,); the origin of x and y is then the middle sample. None means factors of 1 and the origin at the
+            first sample.
     """
 
     shape: tuple[int, int]
@@ -61,9 +63,10 @@ def patch_grid(heightfield: HeightField) -> Grid:
 
 
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
-    """Return the frequencies of half orders, between which the spectrum of a single period is interpolated.
+    """Return the frequencies of whole and half orders, between which the spectrum of one period is interpolated.
 
-    The samples are divided by the transform of the interpolation kernel, a function of frequencies from −1/4 to 1/4.
+    The taper of the grid divides the samples by the transform of the interpolation kernel; ``kernel_transform`` is that
+    transform for arguments from −1/4 to 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
     # The spectrum is constant along an axis of one sample and needs no interpolation.
@@ -81,8 +84,9 @@ class Block:
 
     Attributes:
         count: Number of stored coefficients along (y, x).
-        origin: Index of r = s = 0 along (y, x); index j is s = j − origin, modulo ``shape``.
-        shape: Number of distinct coefficients of the grid.
+        origin: Index of r = s = 0 along (y, x); the row with the index j has the order s = j − origin, modulo
+            ``shape``.
+        shape: Number of distinct coefficients of the grid along (y, x).
     """
 
     count: tuple[int, int]
@@ -91,9 +95,9 @@ class Block:
 
     @classmethod
     def covering(cls, grid: Grid, frequency: float, neighbour_extent: tuple[int, int]) -> Block:
-        """Return the block of all coefficients within ``neighbour_extent`` of frequencies up to ``frequency`` [1/µm].
+        """Return the block of all frequencies up to ``frequency`` [1/µm] and of ``neighbour_extent`` further ones.
 
-        If the grid has fewer coefficients than that, the block contains all of them, and look-ups are periodic.
+        If the grid has fewer coefficients, the block contains all of them, and look-ups repeat them periodically.
         """
         count, origin = [], []
         for samples, length, extra in zip(grid.shape, grid.lengths_um, neighbour_extent, strict=True):
@@ -120,11 +124,11 @@ def series_coefficients(
     """Return the coefficients F_n[s, r] of the formula in this module's docstring, transformed in float64.
 
     Args:
-        heightfield: Height field.
-        expansion: Series.
+        heightfield: Height field to transform.
+        expansion: Series of the exponential, which defines p_n, c and a.
         terms: Number of terms, n = 0 … terms − 1.
-        block: Coefficients to store.
-        taper: Weights of the rows and columns of samples; the origin is then the middle sample instead of the first.
+        block: Block of the coefficients to compute.
+        taper: Factors of the rows and columns of samples, as in :class:`Grid`.
         threads: Number of transforms that run in parallel.
         dtype: Type of the result, complex.
 
@@ -134,8 +138,8 @@ def series_coefficients(
     offset, scale = expansion.offset_and_scale(heightfield)
     scaled = (heightfield.heights_um - offset) / (scale or 1.0)
     s, r = block.orders()
-    # Heights are real, so that column −r is the conjugate of column r with its rows reversed. Only the columns r >= 0
-    # of the block are transformed.
+    # Heights are real. The coefficients of column −r are therefore the conjugates of those of column r, with the rows
+    # in reverse order. Only the columns r >= 0 of the block are transformed.
     columns = int(np.abs(r).max()) + 1
     keep = np.where(r >= 0, r, -r)
     rows = np.where(r[None, :] >= 0, s[:, None], -s[:, None]) % block.shape[0]
@@ -151,7 +155,7 @@ def series_coefficients(
             values = values * taper[0][:, None] * taper[1]
         partial = np.fft.rfft(values, n=block.shape[1], axis=1)[:, :columns] / heightfield.shape[1]
         half = np.fft.fft(partial, n=block.shape[0], axis=0)[rows, keep[None, :]] / heightfield.shape[0]
-        # rfft has the kernel exp(−2πi…), ifft2 the conjugate one.
+        # rfft computes sums with exp(−2πi…), but ifft2 sums with exp(+2πi…); conjugation converts one into the other.
         result[:, :, n] = (1j**n) * np.where(r[None, :] >= 0, half.conj(), half) * phase
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:

@@ -1,8 +1,9 @@
 """Gridding kernel: Kaiser-Bessel interpolation of the spectrum of a patch between half orders.
 
-The spectrum of a patch of length L is band-limited. The spectrum is computed at twice as many frequencies as the patch
-has samples, after the samples are divided by the transform of the kernel. The spectrum at any other frequency is then a
-sum over a few neighbours (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
+The spectrum of a patch is a smooth function of frequency, because the patch has a finite length. First, the height
+samples are divided by the transform of the kernel. Then the spectrum is computed at twice as many frequencies as the
+patch has samples. At any other frequency, the spectrum is a weighted sum over a few of these frequencies (non-uniform
+FFT; Fessler and Sutton 2003, Barnett et al. 2019).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Degree of the polynomials that approximate the kernel between two frequencies, with an error of about 1e-8.
+# Degree of the polynomials that approximate the kernel from one frequency to the next; the error is about 1e-8.
 _DEGREE = 12
 
 
@@ -41,9 +42,10 @@ def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.fl
 
 
 def tap_polynomials(taps: int) -> NDArray[np.float64]:
-    """Return the weights of neighbours as polynomials of the position, shape (taps, degree + 1), highest power first.
+    """Return the weights of ``taps`` neighbours as polynomials, shape (taps, degree + 1), highest power first.
 
-    Neighbour i of a position t is ⌊t⌋ − taps/2 + 1 + i. The neighbour's weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
+    A position t is in units of the frequency spacing. Neighbour i of t has the position ⌊t⌋ − taps/2 + 1 + i. Its
+    weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
     """
     nodes = np.cos(math.pi * (np.arange(4 * _DEGREE) + 0.5) / (4 * _DEGREE)) / 2.0
     offsets = taps // 2 - 1 - np.arange(taps)

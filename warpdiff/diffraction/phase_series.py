@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Limit on the number of terms of a series; 128 terms suffice for about 30 cycles of phase. The memory of a table is
-# proportional to this number.
+# Limit on the number of terms of a series. With 128 terms, series represent about 30 cycles of phase. The memory of a
+# table of coefficients is proportional to this number.
 MAX_TERMS = 128
-# Limit on the cycles of phase over the height range. A larger number suggests that heights have the wrong unit.
+# Limit on the cycles of phase over the height range. Heights with more cycles probably have the wrong unit.
 _MOST_CYCLES = 100.0
 # Limit on exponents in the bounds of a Taylor series: e^710 overflows float64.
 _LARGEST_EXPONENT = 700.0
@@ -51,13 +51,14 @@ class Expansion:
     """Series of exp(2πiκh) in κ, with bounds of its error.
 
     Attributes:
-        label: Name in messages.
+        label: Name of the series in messages.
         centred: Whether c is the middle of the height range and a is half of the range. Otherwise c is the lowest
             height and a is the whole range. The omitted phase e^{2πiκc} is common to all coefficients.
         polynomials: Function of an array g, −1 to 1 or 0 to 1, that yields p_0(g), p_1(g), … without end.
         basis: Function of an array x and a number of terms that returns b_n(x), float64, shape (..., terms).
         remainder: Function (x, terms) that returns a bound of the truncation error for arguments up to |x|.
-        growth: Function of x that returns a bound of Σ |b_n| for arguments up to |x|, the factor of float32 rounding.
+        growth: Function of x that returns a bound of Σ |b_n| for arguments up to |x|. Rounding errors of float32 are
+            multiplied by this sum.
     """
 
     label: str
@@ -74,7 +75,7 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the fewest terms, at most ``MAX_TERMS``, with a remainder up to ``argument`` within a tolerance."""
+        """Return the fewest terms, at most ``MAX_TERMS``, whose remainder at x = ``argument`` is within a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1

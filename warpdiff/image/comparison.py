@@ -1,4 +1,4 @@
-"""Comparison of a picture with a reference, with the same error measure as ``tolerance``."""
+"""Comparison of a picture with a reference, by the error measure to which ``tolerance`` refers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Comparison:
     Attributes:
         error: Relative error of each pixel, shape (height, width), float64; 0 outside ``pixels``.
         pixels: Mask of the compared pixels, shape (height, width).
-        tolerance: Tolerance with which the errors are compared.
+        tolerance: Tolerance that ``share_beyond_tolerance`` and ``reported_share`` refer to.
         p50: Median of the errors of the compared pixels.
         p90: 90th percentile of the errors of the compared pixels.
         p99: 99th percentile of the errors of the compared pixels.

@@ -29,9 +29,9 @@ GamutName = Literal["srgb", "display-p3"]
 DISPLAYS: tuple[Display, ...] = get_args(Display)
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
-# Mean luminance of the illuminated pixels after automatic exposure, by display transform. The value for ACES is larger,
-# because ACES displays middle tones 0.8 stops darker and can display values above 1. Limit: chosen by eye; twice the
-# value makes pictures a stop brighter.
+# Mean luminance to which automatic exposure scales the illuminated pixels, by display transform; 1 is the white of the
+# display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can display values
+# above 1. Limit: chosen by eye; twice the value makes pictures a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
 
 # Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
@@ -53,29 +53,31 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
-# Colour matrices by their names in the shaders of web pages. They are applied to column vectors.
+# Colour matrices by their names in the shaders of web pages. A matrix is multiplied by a colour as a column vector.
 MATRICES = {
     "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
     "labToRoots": _LAB_TO_ROOTS,
 }  # fmt: skip
 
-# Limits of the chroma compression, relative to the largest chroma of the same hue in Display P3. Chroma up to the first
-# limit is unchanged, and chroma of the second limit is compressed to 1. Derived: monochromatic light has at most 3.96,
-# at 495 nm.
+# Limits of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas up
+# to the first limit are unchanged, and the second limit is compressed to 1. Derived: monochromatic light has at most
+# 3.96, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
 # Number of hues in the table of the largest chroma, one per 0.25°. Limit: the table is interpolated linearly.
 _HUES = 1440
-# Largest linear RGB component that is passed to ACES. Limit: larger values are displayed as white; huge ones overflow.
+# Largest linear RGB component that is passed to ACES. Limit: such a component is displayed as white already, and much
+# larger ones overflow.
 WHITE = 1024.0
-# Number of nodes of the ACES table along each axis, and linear RGB component below which nodes are spaced evenly. Above
-# this component they are spaced by equal ratios. Limit: 33 nodes give 0.6 ΔE2000 at the 99th percentile. Twice the
-# number of nodes needs 8 times the memory.
+# First number: nodes of the ACES table along each axis. Limit: 33 nodes give 0.6 ΔE2000 at the 99th percentile; twice
+# as many require 8 times the memory. Second number: linear RGB component up to which the nodes are nearly evenly
+# spaced; above it, neighbouring nodes have nearly equal ratios.
 _NODES, TOE = 33, 0.01
-# Number of bisections. Limit: 2^-20 of the range is smaller than a step of a 16-bit file.
+# Number of bisections that find the largest chroma in a gamut. Limit: 2^-20 of the range is smaller than a step of a
+# 16-bit file.
 _BISECTIONS = 20
-# Number of colours that a thread transforms at a time. Limit: with larger numbers, small pictures use fewer threads.
+# Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
 _TOGETHER = 8192
-# Least divisor, which prevents a division by zero.
+# Smallest divisor; it prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -107,7 +109,7 @@ GAMUTS: dict[GamutName, Gamut] = {
 }
 
 
-# BLAS runs on one thread, because more threads do not make products with 3 × 3 matrices faster.
+# Linear algebra is restricted to one thread here, because products with 3 × 3 matrices do not benefit from more.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
@@ -147,7 +149,7 @@ def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, ex
 
 
 def description(display: Display, gamut: GamutName) -> str:
-    """Return a text for the metadata of a file that describes the transform of its colours."""
+    """Return a text that describes a display transform, for the metadata of a file."""
     target = GAMUTS[gamut]
     if display == "aces":
         return f"{target.view}, {target.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
@@ -162,7 +164,8 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     target = GAMUTS[gamut]
     row = np.minimum(xyz, WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
-        # One thread is used, because a forked child process does not have OpenImageIO's other threads.
+        # OpenImageIO uses only the calling thread here: in a forked child process, the library's other threads do not
+        # exist.
         buffer = oiio.ImageBufAlgo.ociodisplay(
             oiio.ImageBuf(row), target.display, target.view, fromspace=SCENE, unpremult=False,
             colorconfig=CONFIGURATION, nthreads=1,
@@ -188,8 +191,8 @@ def of_oklab(lab: ArrayLike) -> NDArray[np.float64]:
 def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return XYZ colours (n, 3) with the chroma compressed into Display P3, at constant lightness and hue of OKLab.
 
-    The compression limits chromaticities and not brightness. OKLab is homogeneous: the largest chroma of a colour is
-    its lightness L times a function of the hue.
+    The compression does not limit brightness. OKLab is homogeneous: the largest chroma of a colour in Display P3 is its
+    lightness L times a function of the hue.
     """
     lab = oklab(xyz)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
@@ -231,7 +234,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The cube roots of the three cone responses of a grey all equal L.
+        # For a grey, the cube roots of the three cone responses are all equal to the lightness L. Multiples of
+        # ``slopes`` add chroma.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
@@ -264,7 +268,7 @@ def _largest_in_gamut(
 def aces_table(gamut: GamutName) -> NDArray[np.float32]:
     """Return the table of ACES display RGB over a grid in linear Display P3, shape (nodes³, 3).
 
-    Display P3 is used because colours after chroma compression have no negative components in it.
+    The grid is in Display P3, because colours after chroma compression have no negative components there.
     """
     axis = TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(WHITE / TOE))
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -274,7 +278,8 @@ def aces_table(gamut: GamutName) -> NDArray[np.float32]:
 def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """Return the ACES display RGB of chroma-compressed XYZ (n, 3), interpolated in tetrahedra of the table.
 
-    The path from the first to the last corner of a cell follows the axes in the order of decreasing fractions.
+    Of each grid cell, four corners are used: those on the path from its first to its last corner that follows the axes
+    in the order of decreasing fractional coordinates.
     """
     light = np.clip(xyz @ _XYZ_TO_P3.T, 0.0, WHITE)
     places = np.log1p(light / TOE) / np.log1p(WHITE / TOE) * (_NODES - 1)

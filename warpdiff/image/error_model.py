@@ -1,4 +1,4 @@
-"""Error model: the estimated error of a pixel, from the errors of its colour tables and of its subpixel cells.
+"""Error model: estimates the error of a pixel from the plan's predicted error and the errors of its subpixel cells.
 
 The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
 rays per pixel: see docs/decisions/error_estimates.md.
@@ -17,14 +17,17 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Ratio of the error of a pixel's mean colour to the 99th percentile of the plan's errors, if the contrast to the
-# neighbouring pixels equals the colour. Fitted: the error scales as the eighth root of the contrast.
+# Ratio of a pixel's error to the predicted error of the plan, which is a 99th percentile, for a pixel whose contrast to
+# its neighbours equals its colour. The ratio is below 1, because a pixel's colour is a mean. Fitted: the error is
+# proportional to the eighth root of the contrast.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# Factor from the root sum of squares of both parts (cells and table) to a bound of 95 % of the errors. Fitted.
+# Factor from the root sum of squares of two errors, of the colours and of the subpixel cells, to a bound of 95 % of all
+# errors. Fitted.
 _BOUND_OF_BOTH = 1.1
 
-# Model of the probability that the true error of a pixel exceeds the tolerance: odds if the estimated error equals the
-# tolerance, and the power with which the odds grow with the ratio of estimated error and tolerance. Fitted.
+# Model of the probability that the true error of a pixel exceeds the tolerance. The first number is the odds for an
+# estimated error equal to the tolerance. The odds increase with the ratio of the two to the power of the second number.
+# Fitted.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 
@@ -47,14 +50,14 @@ class ErrorParts:
 
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
-    """Return the estimated errors ‖ΔXYZ‖ of pixels from their parts and the predicted relative error of the plan."""
+    """Return the estimated errors ‖ΔXYZ‖ of pixels; ``plan_error`` is the predicted relative error of the plan."""
     # The error of a colour table, or of a sum over wavelengths, is proportional to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size
     if parts.contrasts is not None:
         errors = _MEAN_ERROR_PER_PLAN_ERROR * plan_error * np.sqrt(np.sqrt(np.sqrt(size**7 * parts.contrasts)))
     if parts.cells is not None:
-        # The two parts are independent, so that their squares add.
+        # The errors of the colours and of the subpixel cells are independent of each other, so that their squares add.
         errors = _BOUND_OF_BOTH * np.hypot(errors, parts.cells)
     return errors
 
@@ -73,7 +76,7 @@ def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32])
 
 
 def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
-    """Return the luminance f · Y* below which errors of illuminated points are not relative to their own colour.
+    """Return f · Y*: errors of darker illuminated points are relative to this luminance, not to their own colour.
 
     Y* is the 99th percentile of the luminances Y (n,), or the median of Y weighted by Y if this is larger.
     """

@@ -29,18 +29,20 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 Bits = Literal[8, 16]
-# Channels of every EXR file. For each layer: suffixes of the names of its channels.
+# First, the channels of every EXR file. Then, for each layer, the suffixes of the names of its channels.
 _CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
-# Last chunk of a PNG file: length, name and checksum. A file without it is incomplete, but most readers accept it.
+# Last chunk of a complete PNG file: length, name and checksum. Many readers accept files without it, which are
+# incomplete.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# Fraction of the illuminated pixels, the brightest ones, that automatic exposure excludes. Limit: mirror reflections
-# of a light may be a thousand times as bright as diffraction orders.
+# Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
+# reflections of a light may be a thousand times as bright as diffraction orders.
 _TOO_BRIGHT = 1e-4
 # Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
 MOST_STOPS = 30.0
-# Memory for reading a file [bytes per sample]: four for a float32 sample, and four for its copy in another order.
+# Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
+# channel is contiguous.
 _BYTES_PER_SAMPLE = 8
 
 
@@ -142,7 +144,7 @@ class Image:
     def _auto_exposure(self, display: display_transform.Display) -> float:
         luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
         most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-        # If all illuminated pixels would be excluded, as for a single one, the mean is over all of them.
+        # With very few illuminated pixels, the exclusion would leave none. The mean is then over all of them.
         mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
         return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -210,7 +212,7 @@ class Image:
         """Return the linear exposure factor from the arguments of :meth:`display`.
 
         Args:
-            display: Display transform, for automatic exposure.
+            display: Display transform, on which automatic exposure depends.
             exposure: Linear factor, or None.
             stops: Correction of the factor [stops].
             source: Picture whose automatic exposure is used, or None.
@@ -223,7 +225,8 @@ class Image:
                 raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
             factor = validation.positive(exposure, "exposure")
         elif source is not None or scales:
-            # The automatic factor of a nearly black picture may exceed the limit, and float32 would overflow.
+            # The automatic factor of a nearly black picture may be so large that float32 overflows. It is therefore
+            # limited.
             factor = min((source or self)._auto_exposure(display), validation.MOST)
         else:
             factor = 1.0
@@ -232,7 +235,7 @@ class Image:
     def _encoded(
         self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName, *, exact: bool
     ) -> NDArray[np.float64]:
-        """Return encoded display RGB that is not multiplied by alpha; 0 in the background."""
+        """Return display RGB with the display's transfer function, not multiplied by alpha; 0 in the background."""
         covered = self.coverage > 0.0
         straight = self.xyz[covered] / self.coverage[covered][:, None].astype(np.float64)
         encoded = np.zeros(self.xyz.shape)
@@ -342,7 +345,8 @@ class Image:
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
-            # Without this, the writer adds the current time, and files of the same picture would differ.
+            # Without this attribute, the writer would add the current time, and two files of the same picture would
+            # differ.
             spec.attribute("DateTime", "")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
             transform = f"none, linear; exposure {factor:.6g}"
@@ -362,7 +366,7 @@ class Image:
         """Read a picture from an EXR file that :meth:`save` wrote.
 
         Args:
-            path: EXR file.
+            path: EXR file that :meth:`save` wrote.
 
         Returns:
             The picture with the values of the file. XYZ is multiplied by the exposure with which the picture was saved,
@@ -416,9 +420,10 @@ def check_target(path: Any, name: str = "path") -> Path:
 def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
     """Write a picture file, read it again and compare it.
 
-    On a full disk the PNG writer always reports success, and the EXR writer sometimes.
+    The comparison is necessary because writers may report success on a full disk: the PNG writer always, the EXR writer
+    sometimes.
     """
-    # OpenImageIO selects the format by the suffix, so that the temporary name has the same suffix.
+    # OpenImageIO selects the file format by the suffix. The temporary file therefore has the suffix of the final file.
     with openimageio.in_use() as oiio, files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None or not output.open(str(temporary), spec):

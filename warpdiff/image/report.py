@@ -13,11 +13,11 @@ from warpdiff.image.error_model import share_beyond
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Ratio of the tolerance of pixels at edges (of the mesh or of shadows) to that of interior pixels. Limit: the pixel
-# filter converges slowly at edges.
+# Factor by which pixels at edges (of the mesh or of shadows) may have a larger error than interior pixels. Limit: means
+# over the pixel filter converge slowly at edges.
 EDGES_PER_TOLERANCE = 3.0
-# Largest fractions of interior pixels and of edge pixels that may exceed their tolerance if a picture counts as
-# converged. Limits: twice the fractions accept pictures with visible errors.
+# Largest fractions of interior pixels and of edge pixels that may exceed their tolerance in a picture that counts as
+# converged. Limits: twice the fractions would accept pictures with visible errors.
 MOST_UNCONVERGED, MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
@@ -34,7 +34,7 @@ class Report:
             without refinement.
         unconverged_edge_share: Expected fraction of the pixels at edges, of the mesh or of shadows, whose error exceeds
             three times the tolerance; 0 without refinement.
-        light_sample_count: Number of directions that represent all lights together.
+        light_sample_count: Number of directions by which all lights together are represented.
 
     Examples:
         >>> import warpdiff as wd

@@ -26,14 +26,15 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Permitted remainder of the series of one amplitude, as a share of the tolerance. Derived from two factors of 0.03.
-# Errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in amplitude. Orders
-# are weaker than the mirror reflection by another factor of 0.03. If doubled, surfaces that have only weak orders can
-# exceed the tolerance.
+# Permitted remainder of the series of one amplitude, as a share of the tolerance. Derived as the product of two factors
+# of 0.03. First, errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in
+# amplitude. Second, the amplitudes of orders may be 0.03 of that of the mirror reflection. If doubled, surfaces that
+# have only weak orders can exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Smallest Gaussian weight of a neighbour, as a share of the tolerance, by whether powers add. Derived: the zeroth order
-# has power 1; a call without it may be darker by 1e-5, and its floor is 1e-3 of that. Amplitudes require the square
-# root of this ratio, here with a margin of 100. If doubled, tails of the zeroth order are missing in the darkest calls.
+# Smallest Gaussian weight of a neighbour, as a share of the tolerance: if powers add (True), and if amplitudes add
+# (False). Derived for powers: the zeroth order has power 1. A call that does not contain its peak may be darker by a
+# factor of 1e-5, and its floor is 1e-3 of its luminance. Amplitudes require the square root, 1e-4, here with a margin
+# of 100. If doubled, tails of the zeroth order are missing in the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 # Smallest Gaussian weight of a neighbour, as a share of the tolerance, for plans that no trial has validated. Derived:
 # the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
@@ -49,29 +50,29 @@ _SAMPLES_PER_DEVIATION = 0.441
 # 1, in addition to those for the colours. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12; the number is 6 at a
 # tolerance of 1e-2.
 _SAMPLES_PER_CYCLE = 2.785
-# Order of convergence in the distance of samples. Derived: windows and sources are interpolated by quintics through six
-# samples, and the power of a replicated patch by cubics through four samples.
+# Order of convergence of the integral over λ as the samples become denser. Derived: windows and sources are
+# interpolated by quintics through six samples, and the power of a replicated patch by cubics through four samples.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
-# Typical error of an upper-bound plan in the integral over λ, and also by excluded neighbours, as a share of the
-# tolerance. Fitted: 99th percentile of the errors with the numbers of samples of such plans. The error is only
-# reported.
+# Typical error of an upper-bound plan, as a share of the tolerance; the same for the integral over λ and for excluded
+# neighbours. Fitted: 99th percentile of the errors of such plans. This number is only reported; no decision depends on
+# it.
 _TYPICAL_SHARE = 0.05
-# Number of samples of a replicated patch's power per order in the visible range, at a tolerance of 1. Fitted for random
-# patches of fingers under D65 to HP1; the number is 25 at a tolerance of 1e-2. If halved, the error is 16 times as
-# large.
+# Number of samples, at a tolerance of 1, of a replicated patch's power per order that passes over the visible range.
+# Fitted for random patches of fingers under illuminants from D65 to HP1; the number is 25 at a tolerance of 1e-2. If
+# halved, the error is 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
-# Limit: number of wavelengths of a colour. Time is proportional to it, seconds per direction.
+# Limit: number of wavelengths of a colour. Time is proportional to it: at this limit, one direction requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Limit: number of wavelengths for a source near the horizon, where its foreshortening is unbounded. This number
-# suffices for a foreshortening by a factor of 50.
+# Limit: number of wavelengths for a grazing source. Towards the horizon, the foreshortening of a source increases
+# without bound. This number suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
-    """Return the upper-bound plan for a method and a tolerance, which may differ from those of the request."""
+    """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of the request."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # Fitted bases are computed from the Jacobi-Anger series.
+    # The bases ``"power"`` and ``"low-rank"`` are fitted to the Jacobi-Anger series.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
@@ -103,17 +104,18 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan with enough neighbours for a very dark call whose error no trial measures."""
+    """Return the plan with so many neighbours that it suffices, without a trial, even for a very dark call."""
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
     """Return the number of samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
 
-    The product of two surface points has the phase 2π/λ times w(h − h') + (u, v)·(x − x'). The window weights the
-    product by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ. The colour-matching functions add the
-    constant c. The numbers are limited to those that a plan accepts; such plans are refused for their number of
-    wavelengths.
+    ``rate`` is the order rate. The interference of two surface points x and x' has the phase 2π/λ times
+    w(h − h') + (u, v)·(x − x'). The window weights it by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ,
+    whose width determines a. The range of heights determines b, and the colour-matching functions determine c. The
+    factor a is limited to the largest number that a plan accepts; a plan at that limit is refused later, because it has
+    too many wavelengths.
     """
     if coherence.kind == "replicas":
         # The power of one patch oscillates over 1/λ with at most |u|Lx + |v|Ly cycles per unit.
@@ -124,9 +126,9 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # Samples of a source have equal ratios of λ. The factor ``wider`` is their distance in 1/λ at 380 nm, relative to
-    # equal steps of 1/λ. The window of a source is proportional to λ (van Cittert-Zernike), so that the bandwidth of
-    # its orders needs no such factor.
+    # For a source, samples have equal ratios of λ. The factor ``wider`` is the distance of these samples in 1/λ at 380
+    # nm, relative to equal steps of 1/λ; b and c need it. The bandwidth of orders does not need it: the coherence
+    # window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
@@ -134,7 +136,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the wavelengths that its bandwidth requires; for a grazing source, at most a limit."""
+    """Return the plan with as many wavelengths as its bandwidth requires; a grazing source has a limited number."""
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1

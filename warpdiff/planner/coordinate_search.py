@@ -1,10 +1,10 @@
-"""Coordinate search: finds the cheapest sums over wavelengths that meet a tolerance on the directions of a call.
+"""Coordinate search: finds the cheapest plan with sampled wavelengths that meets a tolerance on a call's directions.
 
 Upper bounds suffice for the worst surface and the worst direction; most calls require less. The coordinates of a plan
-are its terms, neighbours, subdivisions and two parts of the bandwidth. The search makes one coordinate after the other
-as coarse as an error budget permits. The budget grows from coordinate to coordinate, so that each one can use the
-unused budget of the previous ones. Errors are measured on the training set against a reference. The validation
-set then checks the result. If the result fails, the coordinate with the largest effect is refined.
+are its numbers of terms, neighbours and subdivisions, and two parts of its bandwidth. The search makes one coordinate
+after the other as coarse as an error budget permits. The budget grows from coordinate to coordinate; what one
+coordinate does not use, the next ones can use. Errors are measured on the training set against a reference. The
+validation set then checks the result. If the result fails, the coordinate with the largest effect is refined.
 """
 
 from __future__ import annotations
@@ -25,20 +25,24 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Limit: number of repairs of a plan that fails on the validation set. Each repair tries all coordinates, with twice the
-# steps of the previous one. A search then has fewer than fifty trials.
+# Limit: number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate in
+# turn and keeps the best result. Each repair takes twice as many steps as the previous one. A search then has fewer
+# than fifty trials.
 _REPAIRS = 3
-# Limit: a search coarsens a bandwidth by at most 2 to the power of this number. Upper bounds exceed the bandwidth that
-# one surface requires by less.
+# Limit: number of octaves (factors of 2) by which a search coarsens a bandwidth. Upper bounds exceed the required
+# bandwidth by less.
 _OCTAVES = 3
-# Tolerance that defines a common grid of bandwidths: every search tries only whole steps from the upper bound for this
-# tolerance. Without the grid, a looser tolerance could cost a fraction of a step more than a tighter one.
+# Tolerance that defines the bandwidths that searches try: the upper bound for this tolerance, times whole powers of 2
+# to the power 1/SETS_PER_OCTAVE. All tolerances share these bandwidths; otherwise, a looser tolerance could cost
+# slightly more than a tighter one.
 _GRID_TOLERANCE = 1e-2
-# Smallest number of bright validation directions that represent all bright directions of a call. Fitted to random calls
-# with few bright directions (docs/decisions/plans_and_tolerance.md).
+# Limit: number of bright validation directions below which a search is more careful, because so few represent the
+# bright directions of a call badly. Fitted to random calls with few bright directions
+# (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# Share of the remaining error budget that a search uses if few validation directions are bright. The predicted error is
-# also at least this share of the tolerance. Fitted to random calls with few bright directions.
+# Share of the remaining error budget that a search may use if fewer than MIN_BRIGHT validation directions are bright.
+# The predicted error of every search is at least this share of the tolerance. Fitted to random calls with few bright
+# directions.
 _SHARE_BY_FEW = 0.1
 
 
@@ -48,8 +52,8 @@ class Coordinate:
 
     Attributes:
         source: Name of the plan's field that reports the error of this coordinate.
-        budget: Largest permitted error of a plan after this coordinate is coarsened.
-        most: Largest number of steps.
+        budget: Largest permitted training error of a plan after this coordinate is coarsened.
+        most: Largest number of steps by which a search coarsens it.
         coarser: Function that returns a plan coarsened by a number of steps; a negative number refines it.
     """
 
@@ -65,7 +69,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     Args:
         plan: Upper-bound plan.
         trial: Trial, which evaluates plans on sampled directions of the call.
-        automatic: Whether the search may change the method.
+        automatic: Whether the search may replace the method by that of the reference.
 
     Returns:
         Plan with its predicted errors.
@@ -82,7 +86,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         error = coarser_error
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # The validation set may contain directions whose powers cancel in float32; the training set may not.
+        # In some directions, powers cancel in float32. If only the validation set contains such directions, the error
+        # appears here for the first time; amplitudes do not cancel.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
     # The predicted error is divided among its sources in proportion to their measured errors.
     share = predicted_error(error, plan, trial) / sum(errors.values())
@@ -97,7 +102,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
     """Predict the error of a call from the validation error.
 
-    The factor between them is larger if the validation set contains only a part of the call's directions.
+    The prediction is a multiple of the validation error. The factor is larger if the validation set contains only a
+    part of the call's directions.
     """
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
@@ -105,7 +111,7 @@ def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
 
 
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
-    """Refine a plan until its validation error is within the target; return the plan and its validation error."""
+    """Refine a plan until its validation error is at most ``target``; return the plan and its validation error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for repair in range(_REPAIRS):
@@ -122,7 +128,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # No single parameter of the plan reduces the error, so that all parameters are refined together.
+            # No coordinate reduces the error if it is refined alone, so that all coordinates are refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -138,9 +144,9 @@ def _cost(plan: Plan, trial: Trial) -> float:
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with a number of additional SIMD registers of terms, at most those of its basis.
+    """Return the plan with as many more terms as fill ``registers`` SIMD registers, at most those of its basis.
 
-    A negative number removes registers.
+    A negative number removes terms.
     """
     most = trial.most_terms(plan)
     terms = coefficient_table.lanes_of(plan.terms) + registers * LANES
@@ -173,15 +179,15 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # In few directions, nearly all light is the far tail of a bright order. The training set may miss these
-        # directions, so that neighbours with a weight of at least FLOOR times the tolerance always remain.
+        # In a few directions, nearly all light is the far tail of a bright order, and the training set may miss them.
+        # Neighbours with a weight of at least FLOOR times the tolerance are therefore never excluded.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # All parts of the bandwidth are coarsened together before each part is coarsened alone. Otherwise the first
-        # part could use the whole budget.
+        # All parts of the bandwidth are first coarsened together and then alone. If each part were coarsened alone at
+        # once, the first part could use the whole budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -190,7 +196,7 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
 
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
-    """Return the plan with the coarsest step of a coordinate within its budget, by bisection, and its error."""
+    """Coarsen a coordinate as far as its budget permits, by bisection; return the plan and its training error."""
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
     while high - low > 1:
@@ -202,20 +208,21 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # Once the number of wavelengths is the smallest possible one, further steps of the bandwidth save no time.
-        # These steps are undone, because repairs would have to undo them first.
+        # The smallest quadrature is reached. Further coarsening of the bandwidth changes only the recorded bandwidth
+        # and saves no time. Such steps are undone here, because a repair would otherwise spend its steps on undoing
+        # them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
 
 
 def _octave_steps(steps: int) -> float:
-    """Return the factor for a number of steps; ``SETS_PER_OCTAVE`` steps are a factor of 2."""
+    """Return the factor of a bandwidth for a number of steps; ``SETS_PER_OCTAVE`` steps are a factor of 2."""
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with its least weight and bandwidth rounded to the steps that all tolerances share."""
+    """Return the plan with its least weight and bandwidth rounded to values that searches for all tolerances share."""
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
         return plan
@@ -227,7 +234,7 @@ def _on_grid(plan: Plan, trial: Trial) -> Plan:
 def _scaled(
     bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
 ) -> tuple[float, float, float]:
-    """Return a bandwidth with its order rate multiplied by one factor, and its other parts by another."""
+    """Return a bandwidth with its part per order rate multiplied by one factor, and its other parts by another."""
     per_rate, per_w, constant = bandwidth_um
     return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
 
@@ -235,28 +242,30 @@ def _scaled(
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
     """Return the plan with another bandwidth and with the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
-    # The number of wavelengths of a grazing source is limited, so that its plan is valid up to a largest order rate. If
-    # a smaller bandwidth suffices, the same number of wavelengths is valid for larger order rates.
+    # The number of wavelengths of a grazing source is limited; its plan is therefore valid only up to a largest order
+    # rate. A smaller bandwidth requires fewer wavelengths per order rate, so that the plan becomes valid for larger
+    # order rates.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
-    # The interference factor of the periods has one sample per wavelength and subdivision. The product of both must not
-    # decrease.
+    # The interference factor of the periods is sampled ``subdivisions`` times per wavelength. Fewer wavelengths require
+    # more subdivisions, so that the product of both does not decrease.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
     return replace(result, wavelengths=count, subdivisions=divisions)
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with the method of the reference, whose amplitudes do not cancel in float32."""
+    """Return the plan with the reference's method, whose amplitudes do not cancel in float32 as powers do."""
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
-    """Return a plan with a training error of at most half the target, or the closest one, and its error.
+    """Refine a plan until its training error is at most half the target, or is as small as possible.
 
-    Powers of coefficients that vanish like a high power of κ cancel in float32; amplitudes do not. The upper bounds are
-    too small for very tall surfaces, and for grazing sources, where their number of wavelengths is limited.
+    Return the plan and its training error. Two cases need refinement. Powers of coefficients that vanish like a high
+    power of κ cancel in float32; amplitudes do not. For very tall surfaces and for grazing sources, the limited number
+    of wavelengths of the upper-bound plan is too small.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:
@@ -270,7 +279,8 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
         # With too few samples to resolve an order, twice as many samples may not reduce the error yet, so that the loop
-        # continues. With enough samples, an error that does not halve is the rounding error of float32.
+        # continues. With enough samples, doubling them halves the error at least; if it does not, the rest is the
+        # rounding error of float32.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

@@ -2,7 +2,8 @@
 
 Other operations count as the number of multiply-adds that require the same time. ``Plan`` converts multiply-adds to
 seconds. The constants were fitted to times on two cores; the model predicts these times within a factor of 1.5. If one
-constant is doubled, the costs at which the planner changes its choice shift by less than this factor.
+constant is doubled, the number of directions at which the planner prefers another method changes by less than this
+factor.
 """
 
 from __future__ import annotations
@@ -27,19 +28,20 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
-# Costs in addition to the products of a sum [multiply-adds]. The first is per wavelength or sample of the interference
-# factor, the second per basis term or neighbour. Fitted.
+# Costs of a sum over coefficients in addition to its products [multiply-adds]. The first is per wavelength or per
+# sample of the interference factor; the second is per basis term or neighbour. Fitted.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
 # Cost per sample of a table's spectrum, or per spectral line of a source, in addition to its products [multiply-adds].
 # Fitted.
 _COST_OF_SAMPLE = 150.0
-# Cost of filtering and writing one number of a table row, and cost of one multiply-add of the projection, which uses
-# SIMD instructions only [multiply-adds]. Fitted.
+# First number: cost of filtering and writing one number of a table row. Second number: cost of one multiply-add when
+# spectrum samples are projected to colours, which is low because that loop uses SIMD instructions only [multiply-adds].
+# Fitted.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """Return the number of wavelengths that directions require, for numbers or arrays of order rates and |w|."""
+    """Return the number of wavelengths that one or several directions require, by their order rates and |w|."""
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
@@ -53,8 +55,8 @@ def sampling_multiply_adds(
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        # Quadratures exist only in sizes with a constant ratio. On average, a quadrature is larger than required by the
-        # square root of this ratio.
+        # The sizes of quadratures have a constant ratio. On average, the next larger quadrature exceeds the required
+        # number of wavelengths by the square root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
@@ -62,7 +64,7 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the radius of the neighbourhood depends on the wavelength; 0.5 µm is typical.
+        # For a source, the neighbourhood has a radius that depends on the wavelength; 0.5 µm is a typical wavelength.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0
@@ -93,8 +95,8 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the spectrum has about one number per term, or two if amplitudes add. The number of functions of w is
-    # about the same. X, Y and Z are computed for each of them.
+    # A row of the spectrum has about one number per term, or two if amplitudes add. About as many functions of w are
+    # needed, and X, Y and Z are computed for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

@@ -1,8 +1,8 @@
 """Strategy of the planner: selects the direct sum, upper bounds, a colour table or a search, by predicted cost.
 
 The planner first computes an upper-bound plan, which suffices for all directions of the range. Calls with few
-directions use this plan. For many directions, a search on sampled directions finds a cheaper plan, or a colour table
-replaces the integral over the wavelength.
+directions use this plan. For many directions, a search on a sample of the directions finds a cheaper plan, or a colour
+table replaces the integral over the wavelength.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ if TYPE_CHECKING:
 # Cost of the upper-bound plan divided by the cost of the plan from a search, by kind of coherence. Fitted: medians of
 # 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, as the number of directions that the resulting plan evaluates in the same time. Fitted to 32 random
-# calls.
+# Cost of a search, as the number of directions that the plan from the search evaluates in the same time. Fitted to 32
+# random calls.
 _SEARCH_DIRECTIONS = 16_000
-# Limit: smallest number of directions for which an explicit method that adds powers is tried in float32. Only a trial
-# measures its rounding error; for fewer directions, the second that a trial requires is too expensive.
+# Limit: smallest number of directions for which a trial measures the rounding error in float32 of an explicit method
+# that adds powers. For fewer directions, the second that a trial requires is too expensive.
 _FEWEST_TRIED = 16
-# Assumed number of similar calls that share the cost of a table, because pictures are often rendered again with another
-# light or view. If doubled, the planner uses tables from about half as many directions on.
+# Assumed number of similar calls that use the same table: pictures are often rendered again with another light or view.
+# If doubled, the planner prefers a table for about half as many directions.
 _EXPECTED_REPEATS = 3
 
 
@@ -70,7 +70,7 @@ def plan(
     """Plan an evaluation of directions without computing it.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field to evaluate.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3); None is the whole hemisphere.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
@@ -99,8 +99,7 @@ def directions_of(
 ) -> tuple[DirectionRange, DirectionSample, float]:
     """Return the range of the directions, a sample of them, and their number.
 
-    An argument of None means the whole hemisphere. The number of directions is then infinite, and the plan is made for
-    many directions.
+    An argument of None means the whole hemisphere. The number is then infinite: the plan is one for many directions.
     """
     heightfield, coherence = request.heightfield, request.coherence
     hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
@@ -140,7 +139,7 @@ def _any_direction(
 ) -> DirectionRange:
     """Return the range of all pairs of a known direction and any direction of the hemisphere.
 
-    If ``known`` is None, both directions of a pair are any of the hemisphere.
+    If ``known`` is None, both directions of a pair may be any in the hemisphere.
     """
     max_uv = min_w = max_w = 0.0
     if known is None:
@@ -149,8 +148,8 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # The order rate of a grazing source is unbounded. The largest rate of the sampled directions limits it, and
-    # directions beyond it use the largest number of wavelengths.
+    # The order rate of a grazing source is unbounded. The range therefore ends at the largest rate of the sampled
+    # directions. Directions with a larger rate are evaluated with the largest number of wavelengths of the plan.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
@@ -159,7 +158,8 @@ def _any_direction(
 def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
     """Return the plan for all directions of a range; a search tries it on a sample of the directions.
 
-    ``count`` is the number of directions, or of pixels if pixels show means over several directions.
+    ``count`` is the number of directions of the call, or its number of pixels if a pixel shows the mean over several
+    directions.
     """
     heightfield, tolerance, method = request.heightfield, request.tolerance, _method(request)
     refusals.check_integration(request)
@@ -172,7 +172,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # The plan without measurements is computed only if it is required, because it may require the fit of another basis.
+    # The plan without measurements is computed only on demand, because it may require the fit of another basis.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
@@ -180,8 +180,9 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     else:
         result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # The series has too few terms here. A trial cannot measure the error, because its reference uses that series,
-        # too. The plan therefore states a bound of the amplitudes' error, converted to an error of the result.
+        # With the largest permitted number of terms, the series is still too inaccurate. A trial cannot measure this
+        # error, because its reference uses the same series. The plan therefore reports a bound: that of the amplitudes,
+        # converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
     refusals.check_error(heightfield, result, strict=request.strict)
@@ -189,20 +190,20 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def _method(request: Evaluation) -> str:
-    """Return the method. An explicit ``integration`` without a ``method`` implies the low-rank expansion."""
+    """Return the method of the request; it is ``"low-rank"`` if only ``integration`` has an explicit value."""
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether pixels of a request show means over footprints by the mip levels of a table."""
+    """Whether the pixels of a request show means over footprints, computed by the mip levels of a table."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
     """Return the largest cost of a table that pays off for ``count`` directions [multiply-adds]; 0 for no table.
 
-    The cost must be below the predicted saving relative to a plan from a search. The limit is infinite for a requested
-    table and for footprints.
+    A table pays off if it costs less than the plan of a search costs for these directions. The result is infinite if
+    the caller requests a table and for footprints.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
@@ -220,8 +221,9 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
-    """Whether a search requires less time than it saves, or is necessary because the upper bounds are insufficient."""
-    # The limited number of wavelengths for a grazing source is no upper bound. Such a plan may miss all orders.
+    """Whether a search saves more time than it requires, or is necessary because the upper bounds do not suffice."""
+    # For a grazing source, the number of wavelengths is limited, so that the upper-bound plan is no upper bound. It may
+    # even miss all orders.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
     # Powers of coefficients that vanish towards κ = 0 cancel in float32. Only a trial measures this error.
@@ -233,7 +235,8 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
     """Return the upper-bound plan with its mean cost over the sampled directions, without any trial."""
     if _method(request) == "auto":
-        # Without a trial, amplitudes are safer than powers, which may cancel in float32. Amplitudes do not cost more.
+        # Without a trial, a method that adds amplitudes is used: powers may cancel in float32. Amplitudes do not cost
+        # more here.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )
@@ -246,7 +249,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return the plan with the number of terms that a fitted basis requires, and with the aliased power."""
+    """Return the plan with the number of terms that its fitted basis requires, and with the power of aliasing."""
     if plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
             request.heightfield, plan.method, plan.coherence, direction_range,
@@ -273,8 +276,8 @@ def _measured(
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
-        # For footprints, a table is accepted if it meets the tolerance without a safety factor. Point samples instead
-        # of means would have a larger error.
+        # With footprints, a table is accepted if it meets the tolerance without the safety factor. The alternative,
+        # several points per pixel instead of means over footprints, would have a larger error.
         if table is not None and (
             explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
@@ -288,5 +291,5 @@ def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
     """Return a cheap plan for the largest tolerance, which only serves to find the bright directions."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
-    # Upper bounds are conservative; half of their wavelengths suffice for this purpose.
+    # Upper bounds are conservative; half of their wavelengths suffice to find bright directions.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

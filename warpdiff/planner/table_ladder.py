@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# Expected error of the first table that is tried, as a share of the tolerance. Fitted to the planning times of 32 calls
-# (docs/decisions/plans_and_tolerance.md). With twice the share, every second first table fails.
+# Expected error of the first table that a search tries, as a share of the tolerance. Fitted to the planning times of 32
+# calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and another one must be
+# computed.
 _FIRST_SHARE = 0.35
-# A larger table counts as an improvement if it has at most this share of the least error so far. Its error must also be
-# at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the rings reduce
-# the error to 0.6.
+# A larger table counts as an improvement if its error is at most this share of the least error so far, and at most
+# twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the rings, the smallest
+# step of the table size, reduce the error to 0.6.
 _HELPS = 0.7
 
 
@@ -34,20 +35,21 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     """Return a plan with the smallest table whose validation error is within the target, or with the best table tried.
 
     The search computes a table of each size that it tries. The tables stay in the cache, and the call that follows uses
-    the last one. The result is None if no table was computed, because no size was expected to suffice or all sizes were
-    too large or too costly. It is also None if the best table exceeds the target, unless a table is needed or pixels
-    show means.
+    the last table. The result is None if no table was computed, because no size was expected to suffice or all sizes
+    were too large or too costly. It is also None if the error of the best table exceeds the target, unless ``needed``
+    or ``footprint`` is True.
 
     Args:
-        plan: The plan from bounds.
+        plan: Upper-bound plan.
         trial: Training and validation directions of the call, and their reference.
         footprint: Whether pixels show means over their footprints.
-        needed: Whether the call requires a table.
+        needed: Whether the caller requests a table by ``integration="table"``.
         affordable: Largest cost of computing a table [multiply-adds].
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # A table of a source excludes directions near the mirror direction, which are summed over wavelengths.
+        # Near the mirror direction, a table of a source is not used: those directions sum over wavelengths and
+        # neighbours.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -77,7 +79,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The number of terms was only estimated. The first failure measures whether more terms are needed.
+            # The number of terms is an estimate so far. When the first table fails, the error of sampled wavelengths
+            # with the same terms is measured; it indicates whether more terms are needed.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -87,7 +90,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # More rings do not help, or there is no larger size: more functions of w may reduce the error.
+            # More rings do not reduce the error, or no larger size exists. More functions of w may reduce it.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -95,9 +98,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
 
 def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
-    """Return the index of the first size to try; a middle one if a table is needed and none is expected to suffice."""
-    # Errors are larger if diffraction orders are far apart. They are also larger if few directions are bright, because
-    # the validation set misses some of them.
+    """Return the index of the first table size to try, or None; if a table is ``needed``, at least a middle size."""
+    # The expected errors are larger if diffraction orders are far apart, and if few validation directions are bright,
+    # because the validation set then misses bright directions.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -108,7 +111,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """Return a plan with a table, its measured errors and its costs."""
+    """Return a plan with a table, and with the predicted errors and costs of that table."""
     predicted = predicted_error(error, plan, trial)
     return replace(
         plan, footprint=footprint, truncation=min(truncation, predicted), neighbourhood=0.0,
@@ -119,12 +122,12 @@ def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_c
 
 
 def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, explicit: Plan | None) -> int | None:
-    """Return the index of the next size to try, or None if no size is expected to suffice.
+    """Return the index of the next table size to try, or None if no size is expected to suffice.
 
-    The error of the present size exceeds the target by the factor ``excess``. The next size is the first one whose
-    error is within the target by the order of convergence, but it has at most twice the rings, because small tables
-    converge more slowly. If no size suffices, a plan that requires a table (``explicit``) continues with the largest
-    size that fits into memory and has at most twice the rings.
+    The error of the present size exceeds the target by the factor ``excess``. The order of convergence predicts the
+    first size whose error is within the target. The next size has at most twice the rings of the present one, because
+    small tables converge more slowly than that order. If no size suffices, a plan that requires a table (``explicit``)
+    continues with the largest size that fits into memory and has at most twice the rings.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))
@@ -146,7 +149,8 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
     """Return a plan with the fewest terms whose truncation error is within a budget, and that error.
 
-    One trial with ``LANES`` terms measures the error. The residuals of the basis scale it to other numbers of terms.
+    A trial measures the error with ``LANES`` terms only. For other numbers of terms, this error is scaled by the
+    truncation errors of the basis.
     """
     if plan.method in EXPANSIONS or plan.terms <= LANES:
         return plan, 0.0

@@ -32,18 +32,20 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Ratio of the tolerance to the largest error allowed on a validation set. Fitted by bench.reproduce.tolerance_sweep: in
-# one call of a hundred, the error of the call exceeds that of its validation set by this factor.
+# Ratio of the tolerance to the largest permitted error on a validation set. Fitted by bench.reproduce.tolerance_sweep:
+# in one call of a hundred, the error of all directions is larger than that of the validation set by more than this
+# factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidates that may be outliers if a call has more directions than candidates. Fitted to a
-# call in which one of 6,312 directions, in the mirror lobe, was half of the luminance.
+# Number of the brightest candidates that may be outliers, for calls with more directions than candidates. Fitted to a
+# call in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance that counts as light, relative to the luminance of a mirror. Limit: weaker light is invisible.
+# Least luminance that counts as light, relative to that of a mirror. Limit: weaker light is invisible.
 DARK = 1e-10
-# Share of the tolerance that is negligible as the error of a reference or of a basis. Limit: 1 % of a relevant error.
+# Share of the tolerance below which an error of the reference or of a basis is neglected. Limit: 1 % of the errors that
+# a trial must detect.
 NEGLIGIBLE_SHARE = 1e-2
-# Method of the reference. Its amplitudes keep their relative precision in float32, also for coefficients that are very
-# small at small κ.
+# Method of the reference. It adds amplitudes, which keep their relative precision in float32 even for coefficients that
+# vanish like a high power of κ.
 REFERENCE_METHOD = "jacobi-anger"
 # Largest number of wavelengths of a spectrum in a trial. Limit: each wavelength costs as much as a direction.
 _SPECTRAL_SAMPLES = 64
@@ -53,15 +55,17 @@ class Group:
     """Directions on a device, their weights, and their reference values.
 
     Attributes:
-        sample: The directions and their weights.
-        exact: Reference values, computed by ``Trial.exact``; shape as for ``Trial.run``.
-        scale: Values that errors are relative to, (rows, n), one row per illuminant and floor.
-        above: Whether a direction is brighter than the floor, (rows, n).
+        sample: Directions, and their weights in percentiles.
+        exact: Values of the directions by the reference plan, shape as of ``Trial.run``; None before ``Trial.exact``
+            computes them.
+        scale: Divisor of each direction's error: the larger of its value and the floor, shape (rows, n), one row per
+            illuminant and floor.
+        above: Whether a direction is brighter than the floor, shape (rows, n).
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
         self.sample = sample
-        # Each wavelength of a spectrum counts like a direction.
+        # In percentiles, each wavelength of a spectrum counts as a direction of its own.
         self.weights = np.repeat(sample.weights, points)
         self.scattering_vectors = wp.array(sample.scattering_vectors, dtype=wp.vec3d, device=device)
         self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
@@ -74,13 +78,13 @@ class Group:
         return len(self.sample)
 
     def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
-        """Set the reference values, and the scales of errors for floors of shape (illuminants, m)."""
+        """Store the reference values, and the divisors of errors for floors of shape (illuminants, m)."""
         self.exact, rows = exact, floors.reshape(-1, 1)
         self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the relative error of each direction, shape (rows, n)."""
+        """Return the relative error of each direction, shape (rows, n), with the rows of ``scale``."""
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
@@ -89,7 +93,7 @@ class Trial:
     """Trial of plans on some directions of a call, against a reference.
 
     Attributes:
-        reference: The plan whose results count as exact.
+        reference: Plan whose results count as exact: the upper-bound plan with twice the wavelengths.
         training_set: Directions on which a search compares plans.
         validation_set: Directions that judge the result of the search.
         order_rate: Order rate of each training direction, shape (n,).
@@ -99,14 +103,14 @@ class Trial:
     def __init__(
         self, plan: Plan, request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, *, coarse: Plan
     ) -> None:
-        """Draw both sets from a call.
+        """Draw the training set and the validation set from the directions of a call.
 
         Args:
-            plan: The plan from bounds.
-            request: The call's height field, coherence and lights.
-            direction_range: The range of the call.
-            sample: A sample of its directions.
-            coarse: A plan that finds the bright directions.
+            plan: Upper-bound plan.
+            request: Evaluation of the call: height field, coherence, illuminants and device.
+            direction_range: Range of the call's directions and wavelengths.
+            sample: Sample of the call's directions, from which the candidates are selected.
+            coarse: Cheap plan that estimates which candidates are bright.
         """
         heightfield, device, threads = request.heightfield, request.device, request.threads
         self.heightfield, self._range, self._device, self._threads = heightfield, direction_range, device, threads
@@ -133,7 +137,7 @@ class Trial:
         self._sees_all = len(candidates) == round(candidates.weights.sum())
         luminance = _luminance(self.run(coarse, self._candidates))
         self._find_floors(luminance)
-        # The brightest wavelength of a spectrum represents the spectrum.
+        # The luminance of a direction is that at the brightest wavelength of its spectrum.
         brightest = luminance[0].reshape(len(candidates), -1).max(axis=1)
         training, validation = validation_directions.sampled(
             candidates, is_edge_case, brightest, float(self._floors[0].min())
@@ -151,7 +155,7 @@ class Trial:
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Number of bright validation directions, by the highest floor and by the lowest floor.
+        """Number of bright validation directions: those above the highest floor, and those above the lowest floor.
 
         Both are infinite if the validation set has all directions of the call.
         """
@@ -163,12 +167,12 @@ class Trial:
 
     @property
     def max_order_rate(self) -> float:
-        """Largest order rate of the call, which may exceed that of the bounds."""
+        """Largest order rate of the call's directions, which may exceed the largest rate of the upper-bound plan."""
         return self._range.max_order_rate
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of each candidate. The cost of the call depends on them."""
+        """Order rate, |w| and weight of each candidate, from which the cost of the call is predicted."""
         sample = self._candidates.sample
         return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
 
@@ -179,10 +183,10 @@ class Trial:
         return Group(sample, self._device, self._points)
 
     def _find_floors(self, luminance: NDArray[np.float64]) -> None:
-        """Find the floors of each illuminant from luminances (illuminants, n) of the candidates.
+        """Compute the floors of each illuminant from luminances (illuminants, n) of the candidates.
 
-        If the candidates are only a part of the call, the brightest ones may be outliers. Errors must then be small by
-        a floor that includes them and by a floor that excludes them.
+        If the candidates are only a part of the call's directions, the brightest ones may be outliers. There are then
+        two floors, one computed with them and one without, and the error relative to each must be small.
         """
         order = np.argsort(luminance[0])
         subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
@@ -194,9 +198,11 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Use twice the wavelengths of a plan as the reference."""
+        """Give the reference twice the wavelengths of a plan, and discard the values of the previous reference."""
         if plan.coherence.adds_powers:
-            # The zeroth order has the power 1. The tail of its lobe must be negligible in much darker directions.
+            # The zeroth order has the power 1, and directions of a call may be much darker. The reference must
+            # therefore include neighbours so far away that the excluded tail of the zeroth order is negligible even in
+            # these directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -205,22 +211,22 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Estimate the brightness of the call by an approximate plan. Errors are relative to this brightness."""
+        """Update the floors by luminances that ``plan`` computes; it is more accurate than the coarse plan."""
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Return the values of directions by the reference plan."""
+        """Return the values of a group of directions by the reference plan."""
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Return the values of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Return the values of a group by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
-        # With two slices per thread, all threads end at about the same time.
+        # Each thread evaluates two slices, so that all threads end at about the same time.
         slice_size = math.ceil(len(group) / self._threads / 2.0)
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
@@ -255,13 +261,13 @@ class Trial:
         return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
-        """Return the number of terms of a plan's basis."""
+        """Return the largest number of terms that the basis of a plan's method offers."""
         if plan.method == self.reference.method:
             return self.reference.terms
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """Return the coefficients of a plan with a fitted basis."""
+        """Return the coefficients of the height field in the fitted basis of a plan."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -269,18 +275,20 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the worst percentile of a plan's errors on the training set: see :func:`worst_percentile`."""
+        """Return the error of a plan on the training set, as :func:`worst_percentile` defines it."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
         """Return the worst percentile of a plan's errors on the validation set.
 
-        Directions beyond the reference's bounds are excluded, unless all directions are beyond them.
+        Directions with a larger order rate than the reference permits are excluded, unless all directions have such
+        rates.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # If bounds were reduced for a source at the horizon, the reference is wrong beyond them.
+        # For a source near the horizon, the number of wavelengths is limited. Beyond the order rate that the reference
+        # resolves, its values are wrong.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -290,26 +298,27 @@ class Trial:
 def reference_luminance(
     luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True
 ) -> float:
-    """Return the brightness of a call: percentile 99 of Y, or the luminance-weighted median of Y if that is larger."""
+    """Return the reference luminance Y*: the larger of P99 of Y and the luminance-weighted median of Y."""
     bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
 
 
 def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """Return the weighted quantile of values at a share of the total weight; 0 without values."""
+    """Return the value below which a share of the total weight lies; 0 without values."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # The small margin makes up for rounding errors in sums of equal weights.
+    # Without this small margin, rounding errors in the sum of equal weights could select the next larger value.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 
 
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
-    """Return percentile 99.5 of errors (rows, n), among bright directions or among dim ones, whichever is larger."""
+    """Return the 99.5th percentile of errors (rows, n): the larger one of those of bright and of dim directions."""
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
-    # The percentile is stricter than that of a call, 99, because a small set represents small shares badly.
+    # The tolerance applies to the 99th percentile over all directions of a call. The percentile of a small sample is
+    # less certain, so that a stricter one is used here.
     share = 0.5 * (1.0 + PERCENTILE)
     return max(
         _percentile(row[mask & included], group.weights[mask & included], share)

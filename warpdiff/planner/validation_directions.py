@@ -1,10 +1,11 @@
 """Training and validation sets: samples of the directions of a call, with edge cases.
 
-If few directions of a call are bright, a uniform sample may miss them. The geometry of up to 8,192 directions is
-therefore examined. About 1,024 of them become candidates: uniform ones, and all edge cases. Edge cases are near the
-mirror direction, near strong orders, at the largest geometry factors, or at the ends of the call's ranges. A coarse
-plan estimates the luminance of the candidates. The training set and the validation set are drawn from the candidates;
-bright candidates have a higher probability. Each direction has the weight of the directions that it represents.
+If few directions of a call are bright, a uniform sample may miss them. The angles of up to 8,192 directions are
+therefore examined. About 1,024 of them become candidates: some are selected uniformly, and all edge cases are included.
+Edge cases are near the mirror direction, near strong orders, at the largest geometry factors, or at the ends of the
+call's ranges. A coarse plan estimates the luminance of the candidates. The training set and the validation set are
+drawn from the candidates; bright candidates have a higher probability. Each direction has the weight of the directions
+that it represents.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# Number of uniform candidates, and number of training directions. Fitted: if halved, more than 1 % of the calls exceed
-# the tolerance; if doubled, planning requires twice the time.
+# Number of uniform candidates, and number of training directions. Fitted: if both are halved, more than 1 % of the
+# calls exceed the tolerance; if both are doubled, planning requires twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Limit: number of edge cases of each kind, and number of strong orders. Directions near one strong order are a kind of
-# their own. All edge cases are at most a third of the candidates.
+# Limit: number of edge cases of each kind, and number of strong orders whose surroundings are edge cases. Directions
+# near one strong order are a kind of their own. All edge cases are at most a third of the candidates.
 _EDGE_CASES = 16
-# Share of the edge cases in a set, relative to the share of its uniform directions. Bright directions have the same
-# share as uniform ones. About a ninth of a set is then edge cases, in addition to those among the other directions.
+# Expected number of edge cases in a set, relative to the number of uniform directions; the number of bright directions
+# equals that of uniform ones. About a ninth of a set is therefore drawn as edge cases. Some of the other directions are
+# edge cases, too.
 _EDGE_CASE_SHARE = 0.25
 
 
@@ -45,10 +47,10 @@ def candidates(
     """Return the candidates, and a mask of the edge cases among them.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field of the call.
         direction_range: Range of the call's directions.
         sample: Sample of the call's directions.
-        plan: Coarse plan; the strong orders are found by its coefficients.
+        plan: Coarse plan, whose coefficients determine the strong orders.
         threads: Number of threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
@@ -65,10 +67,10 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """Select a training set and a validation set among the candidates; a small call is validated completely.
+    """Draw a training set and a validation set from the candidates; the latter has all of them if they are few.
 
     Args:
-        candidates: Candidate directions.
+        candidates: Directions from which both sets are drawn.
         is_edge_case: Mask of the edge cases, shape (n,).
         luminance: Approximate luminance of each candidate, shape (n,).
         floor: Smallest luminance of a bright direction.
@@ -83,8 +85,8 @@ def sampled(
     both = _TRAINING + _VALIDATION
     if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
-    # Directions are sorted by luminance, and every third one is for training. Both sets therefore contain some of the
-    # brightest directions, even if few directions are bright.
+    # Directions are sorted by luminance, and every third one is available for training. Both sets therefore contain
+    # some of the brightest directions, even if few directions are bright.
     is_training = np.arange(len(order)) % (both // _TRAINING) == 0
     training, validation = order[is_training], order[~is_training]
     return (
@@ -99,8 +101,8 @@ def _draw(
 ) -> DirectionSample:  # fmt: skip
     """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each at most once.
 
-    The probability of a direction is proportional to ``measure``. Each index in ``among`` represents ``represents``
-    candidates, and weights increase by this factor.
+    The probability of a direction is proportional to ``measure``. Each direction stands for ``represents`` candidates,
+    by which its weight is multiplied.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
@@ -120,7 +122,7 @@ def _draw(
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Return the indices of edge cases: near a strong order, with a large geometry factor, or at the end of a range."""
+    """Return the indices of edge cases: near a strong order, or with extreme angles, rates or geometry factors."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
@@ -134,7 +136,7 @@ def _edge_cases(
 def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """Return the logarithm of the power that each strong order, except the zeroth, may send to directions, (n, m)."""
+    """Return ln of the power that each of m strong orders, without the zeroth, may send to n directions, (n, m)."""
     coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield, plan.method, plan.coherence, direction_range,
         coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
@@ -147,11 +149,12 @@ def _order_light(
     others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
-    # The variable foot is the visible wavenumber 1/λ at which a direction is nearest to each order.
+    # The variable foot is the visible wavenumber 1/λ at which the frequency (u, v)/λ of a direction is nearest to each
+    # order.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # The patch of replicas has no window, so that a falloff of 1 µm² replaces that of a window.
+    # Replicas have no window. An arbitrary falloff of 1 µm² replaces that of a window.
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
         # For a centred window, the falloff is that of amplitudes. With the falloff of powers, the minima between orders

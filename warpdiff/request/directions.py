@@ -1,4 +1,4 @@
-"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
+"""Range of the directions of a call, and a sample of these directions for the planner's trials."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit on the number of sampled directions on which the planner tries plans. If doubled, planning requires more time.
+# Limit on the number of directions in the sample on which the planner tries plans. If doubled, planning requires more
+# time.
 MOST_SAMPLED = 8192
-# Smallest number of directions of a call that the planner samples, at most every second one. All directions of smaller
-# calls are used.
+# Number of directions of a call from which on the planner samples them; it then uses at most every second direction.
+# For smaller calls, it uses all directions.
 _SAMPLED_FROM = 4096
 # Random seed of the sample, arbitrary; with another seed, plans differ slightly.
 _SEED = 2
@@ -54,9 +55,10 @@ class DirectionSample:
         gains: NDArray[np.floating],
         parts: int = 1,
     ) -> DirectionSample:
-        """Sample the illuminated directions evenly in their order.
+        """Sample the illuminated directions of one pass, evenly over their order in the arrays.
 
-        ``parts`` is the number of passes of the call; each pass contributes this share of the sample.
+        A call has a pass for each part of its lights. ``parts`` is the number of these passes, which contribute equal
+        shares to the sample of the call.
         """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
@@ -68,7 +70,7 @@ class DirectionSample:
 
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
-        """Join the samples of several passes."""
+        """Join the samples of several passes to the sample of a call."""
         weights = np.concatenate([part.weights for part in parts])
         return cls(
             np.concatenate([part.scattering_vectors for part in parts]),
@@ -76,13 +78,14 @@ class DirectionSample:
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Return the directions at some indices, with other weights."""
+        """Return the directions with the indices ``places``, with other weights."""
         return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Return the indices of ``count`` illuminated directions that one of ``parts`` passes contributes to a sample."""
-    # Each pass contributes at least one direction, even if the number of passes exceeds the limit.
+    """Return the indices of those directions, among ``count`` illuminated ones of a pass, that a sample includes."""
+    # Each of the ``parts`` passes contributes at least one direction, even if their number exceeds the limit of the
+    # sample.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -90,7 +93,7 @@ def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
 def stratified(count: int, most: int) -> NDArray[np.int64]:
     """Return at most ``most`` of ``count`` indices, ascending, by stratified sampling: one random index per stratum.
 
-    A fixed stride could select one column or one diagonal of a picture.
+    If directions are the pixels of a picture, a constant step between indices could select a single column or diagonal.
     """
     if count <= most:
         return np.arange(count)
@@ -124,7 +127,7 @@ class DirectionRange:
         to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """Return the range of the illuminated scattering vectors and directions to the light, both of shape (n, 3)."""
+        """Return the range of those of n scattering vectors and directions to the light that are illuminated."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -139,7 +142,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """Return the range that covers both; a range without illuminated directions has no effect."""
+        """Return the range that covers this one and ``other``; a range without illuminated directions has no effect."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
@@ -164,8 +167,9 @@ def order_rate(
 ) -> NDArray[np.float64]:
     """Return the rate at which the frequency q = (u, v)/λ changes with 1/λ, shape (n,).
 
-    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. A source is foreshortened along the
-    tangential direction of the light. Its rate is |(u, v)| after (u, v) is stretched along that direction.
+    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. The disc of a source is foreshortened along
+    the tangential part of the direction to the light. Its rate is |(u, v)| after the component of (u, v) along this
+    part is divided by cos θi.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

@@ -1,4 +1,4 @@
-"""``Evaluation``: checked and resolved settings, which public functions pass to the planner and to the kernels."""
+"""``Evaluation``: checked settings with all defaults resolved, for the planner and the kernels."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ class Evaluation:
     """Resolved settings of a call: surface, accuracy, method, light and device.
 
     Attributes:
-        heightfield: Height field.
+        heightfield: Height field whose colours or spectra are computed.
         tolerance: Accepted relative error of XYZ, or of ρ for a spectrum.
-        method: One of the methods of ``settings.Method``.
-        integration: One of ``settings.Integration``.
+        method: Expansion of exp(2πiκh), one of ``settings.Method``.
+        integration: Method of integrating over the wavelength, one of ``settings.Integration``.
         coherence: Coherence of the explicit plan, or that of the settings, or the default.
         normal_reflectance: R(0) of the index of refraction; 1 for a material.
         materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
             the index of refraction.
         masking: Whether V-cavity masking is included.
-        energy: One of ``settings.Energy``.
+        energy: Treatment of the reflected power, one of ``settings.Energy``.
         plan: Explicit plan, or None.
         strict: Whether a tolerance that cannot be met is an error.
-        device: Warp device.
+        device: Warp device that runs the kernels.
         threads: Number of threads on the CPU.
-        illuminated: Pairs of illuminant and material; the largest error over the pairs counts.
+        illuminated: Pairs of illuminant and material that occur in the call. A plan must meet the tolerance for each
+            pair.
         wavelengths_nm: Wavelengths of a spectrum [nm]; None integrates over the wavelength.
         footprint: Whether a pixel shows the mean over its filter.
     """
@@ -74,7 +75,7 @@ class Evaluation:
     ) -> Evaluation:  # fmt: skip
         """Resolve checked settings for a height field.
 
-        ``by_geometry`` permits a mapping of materials by the names of a mesh's geometries.
+        ``by_geometry`` is whether the setting ``material`` may be a mapping from the names of a mesh's geometries.
         """
         check_whole(heightfield)
         for illuminant in illuminants:
@@ -111,11 +112,11 @@ class Evaluation:
 
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
-        """Factors by which normalised energy multiplies colours, or None for ``energy="stam"``."""
+        """Factors that multiply colours for ``energy="normalised"``; None for ``energy="stam"``."""
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a plan whose ``energy_spread`` is that of this evaluation's energy factors."""
+        """Return a copy of a plan whose ``energy_spread`` is the ``spread`` of this evaluation's energy factors."""
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 

@@ -1,4 +1,4 @@
-"""``Plan``: the parameters of the kernels with predicted errors; the methods and the coherences they support."""
+"""``Plan``: the parameters of the kernels with predicted errors; and which coherences each method supports."""
 
 from __future__ import annotations
 
@@ -34,13 +34,14 @@ LABELS = {
     "power": "Chebyshev series of the powers",
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
-# Measured speed of one CPU core [multiply-adds per second]: in sums over wavelengths and while tables are computed; and
-# in table look-ups, which memory limits. The speeds convert predicted costs to the times that a plan reports.
+# Measured speeds of one CPU core [multiply-adds per second]. The first is for sums over wavelengths and for the
+# computation of tables; the second is for table look-ups, which the memory slows down. The speeds convert predicted
+# costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Limits on the rings per octave of a colour table.
 MIN_RINGS, MAX_RINGS = 4, 512
-# Step and limit of the number of functions of w in a colour table. Each number requires separately compiled kernels, so
-# that a smaller step would cause more compilations.
+# Step and limit of the number of functions of w in a colour table. Each number requires separately compiled kernels; a
+# smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
 # Limits (least, most) of the fields that state for which directions and wavelengths a plan is valid. A component of a
 # sum of two unit vectors is at most 2, plus rounding.
@@ -177,7 +178,7 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Diverging series have arbitrarily large error bounds.
+            # The upper limit is the largest finite number: the error bound of a diverging series may be very large.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))
         validation.flag(self.is_measured, "is_measured")
@@ -209,7 +210,7 @@ class Plan:
 
     @property
     def microseconds(self) -> float:
-        """Estimated time per direction [µs] on one CPU core."""
+        """Estimated time to evaluate one direction [µs] on one CPU core."""
         return 1e6 * self.multiply_adds / (_LOOKED_UP_PER_SECOND if self.rings_per_octave else _SUMMED_PER_SECOND)
 
     @property
@@ -279,7 +280,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return the line of a printed plan about the integral over λ, by its label; empty for a spectrum."""
+        """Return label and text of a printed plan's line about the integral over λ; nothing for a spectrum."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
@@ -309,7 +310,7 @@ class Plan:
         """Return the plan of a text that :meth:`to_json` wrote.
 
         Args:
-            text: JSON.
+            text: JSON text that :meth:`to_json` returned.
 
         Raises:
             ValueError: The text is damaged, or is not a plan of this version; the message names the field.
@@ -372,7 +373,7 @@ class Plan:
         """Read a plan from a JSON file that :meth:`save` wrote.
 
         Args:
-            path: JSON file.
+            path: JSON file that :meth:`save` wrote.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -385,7 +386,7 @@ class Plan:
 
 
 def check_method(method: str, integration: str, coherence: Coherence) -> None:
-    """Raise an error if a coherence does not support a method, or its integration by a table."""
+    """Raise an error if a coherence does not support a method, or a colour table for that method."""
     if _is_legal(method, integration, coherence):
         return
     why = f"cannot be used with {ref('kind', coherence.kind)}, whose coefficients add as amplitudes, not as powers"
@@ -397,7 +398,7 @@ def check_method(method: str, integration: str, coherence: Coherence) -> None:
 
 
 def check_footprint(method: str) -> None:
-    """Raise an error if a method cannot average over footprints."""
+    """Raise an error if a method cannot compute means over footprints, as ``"direct"`` cannot."""
     if method == "direct":
         raise ArgumentValueError(
             f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single directions: "
@@ -406,7 +407,7 @@ def check_footprint(method: str) -> None:
 
 
 def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
-    """Whether a coherence supports a method and its integration."""
+    """Whether a coherence supports a method together with a way of integrating over λ."""
     if method in POWER_METHODS and not coherence.adds_powers:
         return False
     if integration != "table":
@@ -415,7 +416,7 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables exist for an expansion and a coherence: both must add powers, or both amplitudes."""
+    """Whether colour tables exist for an expansion and a coherence: rows are powers if powers add, else amplitudes."""
     return (
         coherence.kind != "replicas"
         and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers

@@ -22,7 +22,7 @@ _WIDTH = 120
 
 
 def accepts(settings: type) -> Callable[[Function], Function]:
-    """Return a decorator that replaces ``**settings`` of a function by the fields of a class of settings.
+    """Return a decorator that replaces ``**settings`` in a function's signature by the fields of a settings class.
 
     The signature and the docstring of the function then list the fields, so that ``help``, IPython and Sphinx show
     them. An unknown name raises an error that suggests the most similar name.
@@ -81,7 +81,7 @@ def _check_names(function: str, keywords: Mapping[str, object], known: set[str])
 
 
 def _with_options(text: str, options: list[Option]) -> str:
-    """Add options to the ``Args:`` section of a docstring; without this section, append one."""
+    """Add options to the ``Args:`` section of a docstring; append this section if the docstring has none."""
     text = inspect.cleandoc(text)
     entries = "\n".join(
         textwrap.fill(

@@ -84,7 +84,8 @@ def tube(
             f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
-    # The outlines of head and tail are half ellipses. Equal steps in the angle of an ellipse resolve its tip.
+    # Radius over arc length is a half ellipse at the head and at the tail. Rings at equal steps in the angle of the
+    # ellipse resolve its tip.
     head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
     at_head, at_tail = segments_along // 8, segments_along // 3
     head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
@@ -100,15 +101,16 @@ def tube(
     forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
     sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
 
-    # u increases around the body, starting at the belly, so that (around, forward, outward) is right-handed.
+    # The texture coordinate u increases around the body from the belly, in the sense for which (around, forward,
+    # outward) is right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
     phi[-1] = phi[0]  # The two vertices at the seam get exactly the same position.
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
-    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, with the angle ψ of the ellipse. This form
-    # is finite at the tips. The factor `stretch` is the length of the surface divided by that of the centre line, which
-    # is less than 1 on the inner side of a bend.
+    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, where ψ is the angle of the half ellipse.
+    # In this form it is finite at the tips. The factor `stretch` is the length of the surface divided by that of the
+    # centre line; on the inner side of a bend it is less than 1.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -119,11 +121,12 @@ def tube(
 
     ring = s / length
     around, along = np.meshgrid(turn, ring)
-    # The texture coordinates of the vertices at a tip are at the middle of their triangles.
+    # At the tips, each triangle has a vertex of its own. Its texture coordinate u is that of the middle of the
+    # triangle.
     around[[0, -1]] += 0.5 / segments_around
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=2)
     faces = _alternating_faces(len(s), segments_around + 1)
-    # The rings at the two tips have zero radius, so that their quadrilaterals are triangles.
+    # The rings at the two tips have zero radius. The quadrilaterals next to them are therefore triangles.
     columns = segments_around + 1
     last = (len(s) - 1) * columns
     i = np.arange(segments_around)
@@ -180,8 +183,8 @@ def disc(
     v, u = np.meshgrid(turn, share, indexing="ij")
     faces = _alternating_faces(segments + 1, rings + 1)
     if inner_radius == 0.0:
-        # Faces with two corners at the centre have no area and are removed. The texture coordinates of the centre are
-        # at the middle of the remaining triangles.
+        # Faces with two corners at the centre of the disc have no area and are removed. In the remaining triangles, the
+        # vertex at the centre has the texture coordinate v of the triangle's middle.
         v[:, 0] += 0.5 / segments
         column = np.arange(segments) * (rings + 1)
         fan = np.stack([column, column + 1, column + rings + 2], axis=1)
@@ -208,7 +211,8 @@ def _meander(
 def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
     """Return two triangles per quadrilateral of a grid of vertices. The axes (column, row) are right-handed.
 
-    The diagonals alternate between quadrilaterals, so that means over the faces of a vertex are not biased to one side.
+    The direction of the diagonals alternates from one quadrilateral to the next. Means over the faces around a vertex
+    are therefore not biased to one side.
     """
     row, column = np.indices((rows - 1, columns - 1))
     is_even = np.repeat((row + column) % 2 == 0, 2)[:, None]
@@ -218,7 +222,7 @@ def _alternating_faces(rows: int, columns: int) -> NDArray[np.int64]:
 def _mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
 ) -> trimesh.Trimesh:
-    """Return a mesh from vertices, normals and texture coordinates. Vertices at the seam are not merged."""
+    """Return a mesh from vertices, normals and texture coordinates. Doubled vertices at the seam are not merged."""
     import trimesh
 
     return trimesh.Trimesh(

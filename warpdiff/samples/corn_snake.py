@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and largest length of a snake [radii of the body]. Limit: the centre line has 4,097 points.
+# Length of the head, and largest length of a snake [radii of the body]. Limit: the centre line is sampled at 4,097
+# points.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
 # Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
 # the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
@@ -51,29 +52,30 @@ _SHIELDS = np.array(
 # Centre of the eye (fractions of the head's length and of the circumference), radius of the eye [radii of the body],
 # and circumferential position of the mouth. Chosen by eye.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
-# Lengths of the head and of its circumference [radii of the body], which convert positions on the head to distances.
+# Length and circumference of the head [radii of the body]. They convert positions, which are fractions, to distances.
 _HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])
-# Lengths of the rounded ends of head and tail [radii of the body].
+# Lengths of the rounded ends of the head (snout) and of the tail (tip) [radii of the body].
 _SNOUT, _TIP = 0.4, 0.3
-# Width of half the belly as a fraction of the circumference, chosen by eye.
+# Width of one half of the belly as a fraction of the body's circumference, chosen by eye.
 _BELLY = 0.15
 
-# Relief of a scale [lengths of a scale], chosen by eye: rise of its free rear end, overlap over the next scales, and
-# height of its dome.
+# Relief of a scale [lengths of a scale], chosen by eye: height of its free rear end, length by which it overlaps the
+# next scales, and height of its dome.
 _STAND_OFF, _OVERHANG, _DOME = 0.10, 0.10, 0.035
 # Curvature of the edges of a scale: largest displacement to the rear [lengths of a scale] and to the sides [rows].
 _BOW, _BOW_SIDEWAYS = 0.07, 0.10
-# Distance over which the relief fades in at the neck and out at the tail [scales].
+# Distance over which the relief of the scales increases from 0 at the neck and decreases to 0 at the tail [scales].
 _FADE = 2.0
-# Width of the walls under free edges of scales, in the texture [scales].
+# Width of the walls under the free edges of scales, as drawn in the texture [scales].
 _RISER = 0.05
 
 # Colours of the pattern in sRGB, chosen by eye.
 _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
-# Lengths of the head and of the tip of the tail in the texture, in the unit of one scale of the body.
+# Lengths that the head and the tip of the tail have in the texture [lengths of a scale of the body].
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
-# Number of texels of the texture per scale or row; the size of the texture is proportional to its square.
+# Number of texels per scale along the body, and per row around it; the size of the texture is proportional to its
+# square.
 _TEXELS = 8
 
 
@@ -149,13 +151,13 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # The memory estimate is the peak in bytes, as measured. The belly counts as two rows of scales.
+    # The estimate of the required memory is the measured peak in bytes. The belly counts as two more rows of scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # The length is limited because one spline interpolates the cross sections of head and body.
+    # The shortest length is limited because a single spline interpolates the cross sections of both head and body.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -166,7 +168,7 @@ def snake(
     patch = _joined([*_scales(skin, segments), *_scutes(skin, segments), _head(skin, segments), _tip(skin, segments)])
     vertices = skin.points(patch)
     vertices[:, 1] -= vertices[:, 1].min()
-    # Faces without area, at the ends of free edges, are removed.
+    # Faces without area occur at the ends of free edges. They are removed.
     edges = vertices[np.roll(patch.faces, -1, axis=1)] - vertices[patch.faces]
     twice_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     patch = patch._replace(faces=patch.faces[twice_area > 1e-6 * np.max(np.sum(edges**2, axis=2), axis=1)])
@@ -208,7 +210,8 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # The centre line is straight in the head and bends behind it. The whole belly touches the ground.
+        # The centre line is straight in the head and bends behind it. Its height is such that the whole belly touches
+        # the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(
@@ -232,7 +235,8 @@ class _Skin:
                 f"{ref('radius')}"
             )
 
-        # The length of a scale is proportional to the local width of the body, except at the thin end of the tail.
+        # The length of a scale is proportional to the local width of the body. At the thin end of the tail, it is
+        # constant.
         density = np.where((s < head) | (s > last), 0.0, 1.0 / np.maximum(width, 0.25 * radius))
         tau = _integral(s, density)
         tau *= count / tau[-1]
@@ -258,9 +262,11 @@ class _Skin:
     def points(self, patch: _Patch) -> Floats:
         """Return the positions of a patch's vertices in space, shape (k, 3)."""
         s = np.interp(patch.tau + patch.shift, self._tau, self._s)
-        # The rise of a scale displaces vertices away from the centre line, which is nearly the direction of the normal.
+        # The rise moves a vertex away from the centre line of the body. This direction is nearly that of the surface
+        # normal.
         width, height, depth, power = self.outline(s).T
-        # With the modulus, the vertices on both sides of the seam have exactly the same position.
+        # The modulus maps both sides of the seam to the same angle, so that their vertices have exactly the same
+        # position.
         phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
         c, d = np.cos(phi), np.sin(phi)
         square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
@@ -309,8 +315,9 @@ def _fade(skin: _Skin, tau: Floats) -> Floats:
 def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, τ, shift and rise of points on scales.
 
-    Shift and rise increase linearly from the front corner to the rear corner of a scale. The step at a free edge
-    therefore has the same height all along the edge, and neighbouring scales meet at their corners.
+    Shift (to the rear) and rise (outwards) increase linearly from the front corner to the rear corner of a scale. The
+    step from a free edge to the scale below therefore has the same height along the edge, and neighbouring scales meet
+    at their corners.
 
     Args:
         skin: Map from the unrolled skin to space.
@@ -366,9 +373,9 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
     b, a = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     odd, even = np.arange(1, skin.breadth, 2), np.arange(2, skin.breadth, 2)
     middles = np.arange(skin.count) + 0.5
-    # Each entry describes one kind of scale: rows, positions along the rows, mask of the points (a, b) that are not cut
-    # off, whether the two rear edges are free, and direction of the diagonals. Diagonals of a cut scale are parallel to
-    # the cut.
+    # Each entry describes one kind of scale: row numbers; positions along the rows; mask of the points (a, b) of the
+    # scale that remain after a cut; whether its two rear edges are free; and direction of the faces' diagonals, which
+    # are parallel to the cut.
     kinds: list[tuple[ArrayLike, ArrayLike, NDArray[np.bool_], tuple[bool, bool], bool]] = [
         (odd, np.arange(1, skin.count), a < 2.0, (True, True), False), (even, middles, a < 2.0, (True, True), False),
         (odd, 0, a + b > 1.0 - 1e-9, (True, True), False), (odd, skin.count, a + b < 1.0 + 1e-9, (False, False), False),
@@ -380,7 +387,8 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
         corners = _plate(skin, x, tau, a, b)
         faces = grid_faces(n + 1, n + 1, rising=rising)
         patches.append(_patches(corners, corners[:2], faces[np.all(is_inside[faces], axis=1)]))
-        # A wall connects a free edge to the front edge of the scale below. It continues the texture of that scale.
+        # A wall connects a free edge to the front edge of the scale below. In the texture, the wall continues the
+        # colours of the upper scale.
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         if free[0]:
             top, low = _plate(skin, x, tau, ones, step), _plate(skin, x + 1, tau + 0.5, zeros, step)
@@ -418,7 +426,8 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         patches.append(_patches((x[None], *rest), (x[None], rest[0]), grid_faces(n + 1, n + 1)))
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
-        # The wall of a scute has two strips, because the corner of the neighbouring scale is at half its height.
+        # The wall of a scute consists of two strips of faces, because a corner of the neighbouring scale lies at half
+        # its height.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
         patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
@@ -426,7 +435,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """Return the positions x of the vertices of a ring around the body, where scales meet head or tail end."""
+    """Return the positions x of the vertices on a ring around the body, at which scales end: at head and tail."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
@@ -445,13 +454,13 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
     u, v = np.tile(x, rows), np.repeat(tau, columns)
     faces = grid_faces(columns, rows, rising=not first)
     at = 0 if first else (rows - 1) * columns
-    # The texture coordinates of the vertices at a tip are at the middle of their triangles.
+    # At a tip, each triangle has a vertex of its own. Its texture coordinate u is that of the middle of the triangle.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
     return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    """Return the patch of the head. Its rings have twice as many vertices as the ring where the scales begin."""
+    """Return the patch of the head. Its rings have twice as many vertices as the ring at which the scales begin."""
     coarse = _ring(skin, n)
     x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
     q = np.linspace(0.0, 1.0, 14 * n + 1)
@@ -461,7 +470,8 @@ def _head(skin: _Skin, n: int) -> _Patch:
     rise += 0.07 * np.clip(1.0 - eye**2, 0.0, None)
     rise *= (_smoothstep(f / 0.06) * _smoothstep((1.0 - f) / 0.1))[:, None]
     patch = _cap(x, (f - 1.0) * _HEAD_SCALES, rise * (_HEAD_SCALES / _HEAD_LENGTH), first=True)
-    # The last strip of faces connects a ring with all vertices to a ring with every second vertex.
+    # The last strip of faces joins the last fine ring of the head to the ring at which the scales begin, which has only
+    # every second vertex.
     columns = len(x)
     last = (len(f) - 2) * columns + np.arange(0, columns - 1, 2)
     c = last + columns
@@ -481,7 +491,7 @@ def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
     f, across = np.broadcast_arrays(f, np.abs(across))
     nearest = np.full(f.shape, np.inf)
     second = nearest.copy()
-    # Shields on the midline of the head have no mirror image on the other side.
+    # Shields on the midline of the head have no mirror image. All others are mirrored to the other side.
     for seed in (*_SHIELDS, *(_SHIELDS * [1.0, -1.0])[_SHIELDS[:, 1] > 0.0]):
         away = np.hypot((f - seed[0]) * _HEAD_SPREAD[0], (across - seed[1]) * _HEAD_SPREAD[1])
         np.minimum(second, np.maximum(nearest, away), out=second)
@@ -535,8 +545,8 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     """Return colours of scales at (x, tau) in sRGB: saddles on the back, blotches on the flanks, a checkered belly."""
     x, tau = np.broadcast_arrays(x, tau)
     belly = (x < 0.0) | (x > skin.breadth)
-    # The edges of scales are curved. A fixed-point iteration inverts this curvature and gives the scale of each texel,
-    # and the texel's position (a, b) on the scale.
+    # The edges of scales are curved. A fixed-point iteration inverts this curvature: it gives the scale to which a
+    # texel belongs, and the position (a, b) of the texel on this scale.
     fade = _fade(skin, tau)
     x0, tau0 = x, tau
     for _ in range(4):
@@ -546,21 +556,21 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     a, b = tau0 + x0 / 2.0, tau0 - x0 / 2.0
     cell_a, cell_b = np.floor(a).astype(np.int64), np.floor(b).astype(np.int64)
     a, b = a - cell_a, b - cell_b
-    # The pattern is evaluated mostly at the centre of a scale (65 %) and partly at the texel. The colour of a scale is
-    # then nearly constant, and the outline of the pattern follows the scales.
+    # The pattern is evaluated between the texel and the centre of its scale, nearer to the centre (65 %). The colour of
+    # a scale is then nearly constant, and the outline of the pattern follows the edges of scales.
     share = 0.65
     across = np.abs((1.0 - share) * x0 + share * (cell_a - cell_b) - skin.breadth / 2.0) * (28.0 / skin.breadth)
     along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
 
     blotches = max(2, round(skin.count / 6.2))
-    # The offset of 0.4 places the first blotch of the pattern on the neck.
+    # The offset of 0.4 periods places the first blotch on the neck.
     phase = along / skin.count * blotches + 0.4
     period = skin.count / blotches
 
     def blotch(
         at: Floats, offset: float, middle: float, half_length: float, half_width: float, spread: float
     ) -> Floats:
-        """Return the distance from the centre of the nearest blotch, 1 at the blotch's edge."""
+        """Return each texel's distance from the centre of the nearest blotch; the edge of the blotch is at 1."""
         index = np.floor(at - offset).astype(np.int64)
         jitter = rng.normal(0.0, spread, (3, blotches + 2))[:, index + 1]
         back = (at - offset - index - 0.5) * period - jitter[0]
@@ -583,7 +593,8 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     red = np.array(_SADDLE) * (1.0 + 0.10 * tone[..., None])
     inside = _smoothstep((0.90 - level) / 0.10)
     colour = colour + inside[..., None] * (red - colour)
-    # The front of a scale is darkened like a shadow, and the skin between scales is dark.
+    # The front of a scale is darkened, as if it were in the shadow of the overlapping scales. The skin between scales
+    # is dark.
     edge = np.minimum(np.minimum(1.0 - a, 1.0 - b), np.minimum(a, b))
     colour = colour * (0.72 + 0.28 * _smoothstep((a + b) / 0.9) * _smoothstep(edge / 0.10 + 0.35))[..., None]
     # The scutes of the belly are cream with random black squares.
@@ -600,8 +611,9 @@ def _head_pigment(f: Floats, across: Floats) -> Floats:
     border, eye, mouth = _head_marks(f, across)
     f, across = np.broadcast_arrays(f, np.abs(across))
 
-    # `red` is the signed distance from the nearest edge of a red mark, negative inside. The marks are two prongs from
-    # the neck, which meet between the eyes, a bar before the eyes, a stripe behind each eye, and the neck.
+    # The variable `red` is the signed distance from the nearest edge of a red mark, negative inside of the mark. The
+    # marks are two prongs from the neck that meet between the eyes, a bar before the eyes, a stripe behind each eye,
+    # and the neck.
     prong = 0.095 * np.clip((f - 0.36) / 0.40, 0.0, 1.0) ** 0.8
     stripe = _EYE[1] + 0.14 * (f - _EYE[0])
     red = np.minimum.reduce(

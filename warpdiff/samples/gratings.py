@@ -24,10 +24,11 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest default pitch [µm], a tenth of the shortest visible wavelength. With twice the pitch, directions near the
-# horizon suffer from aliasing.
+# Largest default pitch [µm], a tenth of the shortest visible wavelength. If doubled, directions near the horizon suffer
+# from aliasing.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge at which its contribution is truncated [distances of ridges]. Derived: it is below 1e-40 there.
+# Distance from a ridge beyond which its contribution to the heights is neglected [distances of ridges]. Derived: the
+# contribution is below 1e-40 there.
 _RIDGE_REACH = 4.0
 
 
@@ -117,7 +118,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
     period = validation.positive(period_um, "period_um")
     depth = validation.number(depth_um, "depth_um", least=0.0)
     if samples is None:
-        # The number of samples is even, so that one sample is exactly at the valley of a sine.
+        # The number of samples is made even, so that one sample is exactly at the valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
     memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
@@ -217,14 +218,14 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Only rows of samples near the pit are computed, to save time.
+            # Only the rows of samples near the pit are computed; this saves time.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
             offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
             near = np.abs(offset) < half + dy
             rows, offset = rows[near], offset[near]
-            # A pit is a stadium: the set of points within `radius` of an axis. The axis is shorter than the pit by its
-            # two round ends. A pit that is shorter than wide is a circle.
+            # A pit is a stadium: the set of points within `radius` of a line segment. The round ends of the pit extend
+            # beyond the segment. A pit that is shorter than wide is a circle.
             beyond = np.maximum(np.abs(offset) - max(half - radius, 0.0), 0.0)
             distance = np.hypot(beyond[:, None], x) - min(radius, half)
             coverage[rows] = np.maximum(coverage[rows], np.clip(0.5 - distance / pitch, 0.0, 1.0))
@@ -238,7 +239,8 @@ def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDAr
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
     runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
-    # Random runs are lengthened or shortened by one bit until their sum is ``bits``, so that the track is periodic.
+    # Randomly selected runs are lengthened or shortened by one bit until the sum of all is ``bits``. The track is then
+    # periodic.
     while (missing := bits - int(runs.sum())) != 0:
         step = 1 if missing > 0 else -1
         free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
@@ -341,7 +343,7 @@ def fingers(
     memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # The coordinates x and y are measured in periods of the ridges and in lengths of the fingers.
+    # From here on, x is in units of the distance of ridges, and y in units of the length of fingers.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
@@ -354,13 +356,13 @@ def fingers(
         position = rng.normal(0.0, 0.05) + rng.normal(0.0, 0.025, size=rows)
         rise = rng.normal(1.0, 0.05, size=rows)
         breadth = rng.normal(1.0, 0.07, size=rows)
-        # For every y: the index of the finger there, and the position on this finger from 0 at its tip to 1 at the next
-        # tip.
+        # For every y: the index of the finger at this y, and the position on the finger, from 0 at its tip to 1 at the
+        # next tip.
         past = (y[:, None] - tips) % rows
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # Only columns near the ridge are processed. The contribution to other columns is smaller than rounding errors.
+        # Only columns near the ridge are processed. In other columns its contribution is smaller than rounding errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]

@@ -1,4 +1,4 @@
-"""Tables of the Fourier coefficients of a height field on a device, as the spectral kernels read them; cached."""
+"""Tables of the Fourier coefficients of a height field on a device, in the layout of the spectral kernels; cached."""
 
 from __future__ import annotations
 
@@ -31,32 +31,33 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of it, and each padded
-# length requires separately compiled kernels.
+# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number. Each
+# padded length requires separately compiled kernels.
 LANES = 8
 # Limit: smallest number of wavelengths in a quadrature.
 _FEWEST_WAVELENGTHS = 16
-# Limit: smallest Gaussian weight of the coefficients that a table stores around a direction, even if a plan excludes
-# such small weights. Plans with different least weights therefore share a table.
+# Limit: smallest Gaussian weight of a neighbour. A table contains all neighbours down to this weight, also for plans
+# that exclude them. Plans with larger least weights can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# Limit: smallest number of wavelength intervals for replicas. Cubics through four wavelengths interpolate the power of
-# one patch.
+# Limit: smallest number of intervals between wavelengths for replicas. A cubic through four neighbouring wavelengths
+# interpolates the power of one patch.
 _FEWEST_INTERVALS = 4
 # Limit: number of permitted quadrature sizes per doubling of the size. Few permitted sizes let plans share quadratures.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while a quadrature is computed [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
-# Number of cos θd at which the reflectance of a material is tabulated. Linear interpolation has an error of at most
-# 1e-4, near the horizon.
+# Number of cos θd at which the reflectance of a material is tabulated. The error of linear interpolation is at most
+# 1e-4; it is largest near the horizon.
 _ANGLES = 513
 # Measured peak memory [bytes]. The first two are per coefficient and term: while a series is computed, and while a
-# basis is fitted to it. The others are per frequency of the transform: in total, and for each thread.
+# basis is fitted to the series. The last two are per frequency of the Fourier transform: in total, and in addition for
+# each thread.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
 @dataclass(frozen=True)
 class CoefficientRange:
-    """Range of frequencies and κ of the coefficients for a range of directions, rounded up to coarse steps.
+    """Range of frequencies q and of |κ| for which coefficients are stored, rounded up to coarse steps.
 
     The range includes all visible wavelengths. Small movements of a light or a camera leave the range unchanged, so
     that the cached coefficients remain valid.
@@ -113,8 +114,8 @@ class RowsKey:
         block: Block of the stored coefficients.
         coefficient_range: Range of frequencies and κ.
         method: One of ``coefficient_basis.METHODS``.
-        terms: Number of terms.
-        kind: Kind of coherence.
+        terms: Number of terms of each row.
+        kind: Kind of coherence; rows of a centred window contain the phase of its position.
         centre_um: Position (y, x) of a centred window [µm]; None is the centre of the patch.
     """
 
@@ -134,7 +135,7 @@ class Table:
     Attributes:
         integrate: Kernel that integrates over λ to XYZ.
         sample: Kernel that evaluates the wavelengths that a caller chooses.
-        arguments: Struct with the table, the first argument of both kernels.
+        arguments: Struct ``Table`` of the kernels, the first argument of both kernels.
         coefficients: Coefficients on the host from which the table was made.
     """
 
@@ -158,7 +159,7 @@ def coefficients_for(
     Coefficients do not depend on the size or position of a window.
 
     Args:
-        heightfield: Height field.
+        heightfield: Height field whose coefficients are returned.
         method: One of ``coefficient_basis.METHODS``.
         coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
         direction_range: Range of directions and wavelengths.
@@ -209,7 +210,7 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # The series of the last fit is removed from its cache, because it would add to the memory of all tables.
+        # The series of the last fit is discarded here, because two cached series would require twice the memory.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -234,8 +235,8 @@ def table_for(
 ) -> Table:
     """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions. Calls within the plan's range use the plan's range, so that the
-    # same plan always gives the same results.
+    # A fitted basis depends on the range of directions for which it is computed. If the call is within the plan's
+    # range, the basis is computed for the plan's range. The same plan then always gives the same results.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -289,8 +290,8 @@ def without_zeroth_order(table: Table) -> Table:
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
     """Return the factor a [µm²] of the Gaussian weight exp(−a |q − q_rs|²) of a coefficient.
 
-    The factor is 4π²σ² for powers (averaged), 2π²σ² for amplitudes (centred), and λ²/2s² for powers under a source at
-    normal incidence.
+    The factor is 4π²σ² for powers (averaged), 2π²σ² for amplitudes (centred), and λ²/2s² for powers under a source of
+    the spread s at normal incidence.
     """
     if coherence.sigma_um is None:
         return wavelength_um**2 / (2.0 * coherence.spread**2)
@@ -298,7 +299,7 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
 
 def radius(plan: Plan) -> float:
-    """Return the distance in frequency [1/µm] up to which a table must contain the neighbours of a direction."""
+    """Return the largest distance in frequency [1/µm] between a direction and its neighbours in a table."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
     return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
@@ -323,8 +324,8 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # Smaller quadratures are for directions of small bandwidth. The constant part of the bandwidth, which all
-    # directions require, limits their number.
+    # Directions of small bandwidth use smaller quadratures. The smallest useful quadrature is that for the constant
+    # part of the bandwidth, which every direction requires.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -358,7 +359,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted quadrature size of at least ``count`` wavelengths, up to a rounding tolerance."""
+    """Return the smallest permitted quadrature size that is not less than ``count`` by more than 2 %."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -369,7 +370,7 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Set the tap polynomials of the interpolation kernel in a struct; an axis of one sample has one constant tap."""
+    """Store the tap polynomials of the gridding kernel in a table's struct; an axis of one sample has one tap."""
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0

@@ -30,19 +30,19 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Number of |w| at which the functions of w are tabulated, at least 32 per oscillation; cubics interpolate between them.
+# Number of |w| at which the functions of w are tabulated: at least 32 per oscillation. Cubics interpolate between them.
 _ENTRIES_OVER_W = 160
-# Errors of colours at one |w| are relative to the colours there, but to at least this share of the largest colours over
-# all |w|.
+# Lower limit of the scale of relative errors. The scale is the size of the colours at the same |w|, but at least this
+# share of their largest size over all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of samples of the colour curves from one ring to the next.
+# Number of wavelengths between two neighbouring rings at which the colour curves are sampled for the fit of splines.
 _SAMPLES_PER_NODE = 64
-# Errors of fitted colour curves are relative to the curves, but to at least this share of their largest value. The
-# curves vanish at both ends of the spectrum.
+# Lower limit of the scale of relative errors of fitted colour curves, as a share of a curve's largest value. The curves
+# themselves vanish at both ends of the spectrum.
 _LEAST_SCALE = 0.005
-# The first number is the cos θd of the reflectance that colour curves include. The ratio of the reflectance at other
-# angles to this reflectance is a sum of products: a function of |(u, v)| times a function of λ and w. The second number
-# is the largest error of this sum, as a share of the tolerance.
+# First number: cos θd of the reflectance that colour curves include. For other angles, the ratio to this reflectance is
+# approximated by a sum of products of a function of |(u, v)| and a function of λ and w. Second number: largest error of
+# this sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # Largest error of the polynomials in cos θd that approximate a reflectance, and smallest and largest number of their
 # Chebyshev nodes. Metals need the fewest nodes; thin films with resonances near the horizon need the most.
@@ -74,7 +74,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours of one octave of |(u, v)|: a projection of the spectrum, times a factor for each ring.
+    """Summand of the colours in one octave of |(u, v)|: a projection of the spectrum times a factor for each ring.
 
     Attributes:
         projection: Index of the projection; several octaves may share it.
@@ -92,10 +92,12 @@ class Projection:
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
         w_basis: Functions of w that all colours share, at these |w|, shape (entries, m).
-        weights: Weights of the rings of one octave in X, Y and Z, shape (rings, 3).
+        weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
+            colour, shape (rings, 3).
         matrices: One matrix per projection: the coefficients of the functions of w for each ring and term, shape
             (rings, terms, m). The rings extend from one before the red end of a colour to one beyond its blue end.
-        octaves: For each octave of |(u, v)|, the terms whose sum is its colours; a single term without a material.
+        octaves: For each octave of |(u, v)|, the terms whose sum is the octave's colours. Without a material there is a
+            single term.
     """
 
     ws: NDArray[np.float64]
@@ -115,7 +117,7 @@ def make_projection(
     reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
     therefore includes it, and look-ups need no material.
     """
-    # At every |w| of this range, the |κ| of all visible wavelengths are within the range of the basis.
+    # The range of |w| for which the |κ| of all visible wavelengths are within the range of the basis.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
     weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
@@ -131,8 +133,8 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # Eigenvectors of a small matrix give the singular value decomposition. A decomposition of the large matrix would
-    # use several threads of a library, and be slow where other processes occupy the cores.
+    # The singular value decomposition is computed by the eigenvectors of a small matrix. NumPy's decomposition of the
+    # large matrix uses several threads, and is slow if other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
@@ -157,14 +159,15 @@ def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# The result does not depend on the illuminant or on the number of functions of w. The cache stores the last result.
+# The result does not depend on the illuminant or on the number of functions of w. Only the last result is cached.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
     """Approximate the reflectance of a material, relative to that in the colour curves, by sums of separable terms.
 
-    The error is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)| share a function.
+    The error is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the ratio hardly
+    changes, share one function of (w, λ).
 
     Returns:
         Functions of (w, λ), each with its largest factor over all rings; and the terms of each octave.
@@ -185,7 +188,7 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # The outermost rings may be beyond 2, the largest possible |(u, v)|.
+    # The outermost rings of the grid may be beyond the largest possible |(u, v)|, which is 2. They use the ratio at 2.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -194,7 +197,7 @@ def _material_products(
             octaves.append((shared,))
             continue
         values = ratio(uv).reshape(len(uv), -1)
-        # Eigenvectors of the smaller Gram matrix give the singular value decomposition.
+        # The singular value decomposition is computed by the eigenvectors of the smaller Gram matrix.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
         rank = 1
@@ -251,7 +254,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
-    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance that they include."""
+    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance at the middle angle."""
     products = colorimetry.colour_products(illuminated.illuminant)
     return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 
@@ -259,8 +262,8 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
-    # The fit of the colour curves extends beyond both ends of the visible range. The curves are 0 there, but the
-    # outermost splines are not.
+    # The fitted range extends beyond both ends of the visible range, because the outermost splines do. The curves are 0
+    # there.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
     # Colour curves are 0 outside of the visible range. Splines are functions of ln λ, so that dλ = λ d ln λ adds a

@@ -33,12 +33,13 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# Limits of decimation: look-ups of wide footprints skip every second ring if colours are smooth over ln λ. The Fourier
-# transform of the colour curves, relative to its value at 0, must be below the first number at the frequency that
-# aliases to 0. The second number is the smallest distance between that frequency and the band of the power spectrum, in
-# standard deviations of the look-up's Gaussian. The third number is a scale that disables decimation.
+# Limits of decimation: a look-up with a wide footprint skips every second ring if the colour curves are smooth over ln
+# λ. Sums over every second ring alias one frequency over ln λ to 0. First number: largest Fourier transform of the
+# colour curves at that frequency, relative to 0. Second number: smallest distance of that frequency from the band of
+# the power spectrum, in standard deviations of the look-up's Gaussian. Third number: scale that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# Number of wavelengths in the integral of the zeroth order, and number of cos θd at which its reflectance is tabulated.
+# Number of wavelengths in the integral of the zeroth order, and number of cos θd at which the material's reflectance is
+# tabulated for it.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
 # Limit: number of azimuth samples that a CPU thread processes at once.
 _AZIMUTHS_OF_SLICE = 32
@@ -50,7 +51,7 @@ class ColourTable:
 
     Attributes:
         kernels: Kernels and types for the number of functions of w.
-        layout: Grids of the mip levels whose rows are filled.
+        layout: Layout of the table; it has only those mip levels whose rows are filled.
         fields: Values of the fields of the kernels' struct ``Colours`` by name, without those of the layout.
     """
 
@@ -119,7 +120,7 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # Another thread may add or remove the same entry at any time, so that this function reads the cache only once.
+    # Another thread may change the same cache entry at any time, so that this function reads the entry only once.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -190,14 +191,16 @@ def _fields(
     """Return the fields of the struct ``Colours`` without those of the layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # The lobes of a source have the same width in (u, v) at all wavelengths.
+    # The lobes of a source have the same width in (u, v) at all wavelengths, so that a width per unit of wavelength is
+    # 0.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Space for mip levels is allocated with level 0. On the CPU it requires no memory until rows are written.
+    # Space for mip levels is allocated together with level 0. On the CPU, the space is not in memory until rows are
+    # written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -207,7 +210,8 @@ def _fields(
         "ring_of_one": -grid.log_radius * per_log,
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
-        # Smallest |(u, v)| of a look-up, which replaces all smaller ones. A spline also requires the ring before it.
+        # Smallest |(u, v)| of a look-up; smaller values are replaced by it. The spline of a look-up there also uses the
+        # next smaller ring.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

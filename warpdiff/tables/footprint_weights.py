@@ -18,18 +18,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of tabulated blurs, and their largest variance [squared distances of samples]. A look-up adds the blur that its
-# mip level lacks. The variance of that blur is at most 3 · 1.2², because the blur doubles from level to level.
+# A look-up adds the blur that its mip level lacks. The first number is the number of tabulated blurs; the second is
+# their largest variance [squared distances of samples]. It must exceed 3 · 1.2²: the blur doubles from level to level,
+# and a level has at most 1.2 samples per standard deviation of its blur.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Typical standard deviation of the blur that a mip level has already, in distances of azimuth samples. Level 0 has 0.9
-# to 2.1. The number is used only for spectra under a window.
+# Typical blur of the spectrum in a mip level, as a standard deviation in distances of azimuth samples. In level 0, it
+# is from 0.9 to 2.1. Only the taps for spectra under a window use this number.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two samples for which tap weights are tabulated.
 _TAP_POSITIONS = 64
-# Variance of one part of a footprint times the number of parts, relative to the variance of the footprint. If doubled,
-# parts become 1.4 times as wide, and their linearisation in polar coordinates becomes less accurate.
+# Long footprints are divided into parts. The number is the variance of one part times the number of parts, relative to
+# the variance of the whole footprint. If doubled, parts become 1.4 times as wide, and their linearisation in polar
+# coordinates becomes less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 
 
@@ -61,10 +63,11 @@ def footprint_taps(device: str, rule: TapRule) -> Any:
 
 @functools.cache
 def _parts(most: int) -> NDArray[np.float64]:
-    """Return sums of 1 … ``most`` narrower Gaussians that approximate the standard normal distribution.
+    """Return approximations of the standard normal distribution by sums of 1 … ``most`` narrower Gaussians.
 
-    The result contains the variance, positions and weights of the summands, shape (most, 3, most). Positions and
-    weights are those of Gauss-Hermite quadrature, so that a sum of n Gaussians has the exact moments up to 2n − 1.
+    For each number of summands, the result contains their variance, positions and weights, shape (most, 3, most).
+    Positions and weights are those of Gauss-Hermite quadrature, so that a sum of n Gaussians has the exact moments up
+    to 2n − 1.
     """
     result = np.zeros((most, 3, most))
     for count in range(1, most + 1):
@@ -94,9 +97,9 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return weights of spline coefficients for a Gaussian blur that is truncated at the outermost taps."""
-    # The spline is evaluated up to 16 sample distances from its centre. This interval is so wide that the periodic
-    # Fourier transform does not wrap the widest Gaussian.
+    """Return tap weights for spline coefficients: those of a Gaussian blur that is truncated at the outermost taps."""
+    # The spline is sampled up to 16 sample distances from its centre. The discrete Fourier transform is periodic, and
+    # even the widest Gaussian is negligible at the ends of this interval.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
@@ -105,13 +108,13 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return weights of spline coefficients by least squares, for a blur of a spectrum that is a Gaussian itself.
+    """Return tap weights for spline coefficients: the least-squares fit for blurring a Gaussian spectrum.
 
-    The weighted sum approximates the blurred Gaussian for all of its positions, and has its exact area, mean and
-    variance.
+    The spectrum is a Gaussian with the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum approximates the
+    blurred Gaussian for all positions of its centre. The sum has the exact area, mean and variance.
     """
-    # The right-hand side of the normal equations: products of coefficients and the blurred Gaussian, integrated over
-    # the position of the Gaussian.
+    # Right-hand side of the normal equations: the products of each spline coefficient and the blurred Gaussian,
+    # integrated over all positions of the Gaussian.
     inverse = _inverse_products(places.shape[1])
     weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]

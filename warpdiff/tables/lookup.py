@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds per look-up and function of w. Derived: three colour channels times 3 × 3 spline coefficients.
+# Multiply-adds of one look-up per function of w. Derived: three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Limit: number of cached tables that are derived from a look-up, such as those of a sky. Two serve two alternating
-# skies.
+# Limit: number of tables that a look-up caches for its callers, such as tables of skies. Two entries suffice for two
+# skies that alternate.
 _MOST_DERIVED = 2
 # Limit: number of look-ups in one slice, so that the arrays of a slice fit into the cache of a core.
 _LOOK_UPS_OF_SLICE = 2048
@@ -33,9 +33,9 @@ class ColourLookup:
     """Look-up of XYZ by scattering vector: the kernels of a plan, with their tables from the cache if possible.
 
     Attributes:
-        heightfield: Height field.
-        plan: Plan.
-        device: Warp device.
+        heightfield: Height field whose colours are looked up.
+        plan: Plan that the kernels and tables follow.
+        device: Warp device on which the tables are and the kernels run.
         derived: Cache of tables that callers compute by this look-up, by keys that they choose.
     """
 
@@ -43,7 +43,7 @@ class ColourLookup:
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
         device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the look-up for a range of directions, with or without the zeroth order."""
+        """Prepare the look-up for a range of directions; tables are computed at the first use."""
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order = direction_range, zeroth_order
         self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
@@ -64,7 +64,7 @@ class ColourLookup:
             scattering_vectors: Scattering vectors (u, v, w), shape (n,).
             to_lights: Directions to the light in the local frame, shape (n,).
             gains: Geometry factors of the reflectances, shape (n,).
-            illuminated: Illuminant, and the illuminated material.
+            illuminated: Illuminant, and the material of the surface.
             xyz: Array to which the XYZ are added, shape (n,).
             footprints: Footprint of each pixel in (u, v), for a plan with footprints.
             among: Range of the indices to evaluate, which begins at a multiple of the batch size; None is all.
@@ -90,7 +90,7 @@ class ColourLookup:
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the table excludes some directions, as tables of sources do; their wavelengths are then sampled."""
+        """Whether the table excludes directions, as tables of sources do; excluded directions sample wavelengths."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     def kernel_calls(
@@ -99,8 +99,8 @@ class ColourLookup:
     ) -> list[KernelCall]:  # fmt: skip
         """Return the kernel calls of :meth:`accumulate`.
 
-        A table that excludes directions writes their gains into the array ``unserved_gain``, which has at least n
-        entries. None allocates the array.
+        The look-up writes the gains of directions that the table excludes into the array ``unserved_gain``, which has
+        at least n entries; those directions then sample wavelengths. None allocates the array.
         """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
@@ -116,7 +116,7 @@ class ColourLookup:
         self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
         unserved_gain: wp.array,
     ) -> KernelCall:  # fmt: skip
-        """Return the kernel call that adds the colours of a table."""
+        """Return the kernel call that looks up colours in the table and adds them to ``xyz``."""
         if illuminated not in self._colours:
             table = colour_table.table_for(
                 self.heightfield, self.plan, self._range, illuminated, device=self.device, threads=self._threads
@@ -129,9 +129,9 @@ class ColourLookup:
         return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
-        """Return the kernel call that adds sums over sampled wavelengths."""
+        """Return the kernel call that integrates over sampled wavelengths and adds the colours to ``xyz``."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # This object stores its own reference to the table, because the shared cache may replace its entry.
+        # This object keeps a reference to the table, because the shared cache may discard its entry.
         if self._table is None:
             self._table = coefficient_table.table_for(
                 heightfield, plan, self._range, device=device, threads=self._threads

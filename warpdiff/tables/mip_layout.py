@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 # of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the distance is
 # half as large and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Limit: smallest number of spectrum samples from one ring to the next. With one sample, the weighted sum is no accurate
-# integral: the error was 7e-4 instead of 2e-5 at the 99th percentile.
+# Limit: smallest number of spectrum samples from one ring to the next. A single sample integrates the spectrum between
+# rings inaccurately: the 99th percentile of the error was 7e-4 instead of 2e-5.
 _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur. Derived: within it, the spectrum deviates
 # from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Standard deviation of the blur of a source's spectral lines, in distances of azimuth samples. Splines represent lines
-# of this width accurately.
+# Standard deviation by which the lines of a source's spectrum are blurred in a table, in distances of azimuth samples.
+# Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of its total blur.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit: number of azimuth samples that 64-bit integers can represent. A table of this
-# size raises ``MemoryError`` later.
+# Limit: number of azimuth samples of a ring. Larger numbers would overflow 64-bit integers. Even a table of this size
+# raises ``MemoryError`` later.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -65,12 +65,12 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a plan and the largest frequency [1/µm], with mip level 0 only."""
+        """Return the layout for a plan and for frequencies up to ``highest`` [1/µm], with mip level 0 only."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a window, which makes the spectrum smooth."""
+        """Return the layout for a window, under which the spectrum is smooth and can be sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
         # A colour uses up to three rings beyond its octave of frequencies, and the splines of a look-up two more.
@@ -92,10 +92,10 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a source. The grid of the spectrum has the azimuth samples of level 0."""
+        """Return the layout for a source, whose spectrum is added to the azimuth samples of level 0 line by line."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # The splines of a look-up also use neighbouring rings on both sides.
+        # The spline of a look-up at the largest frequency also uses the rings beyond it.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -114,7 +114,8 @@ class MipLayout:
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # An octave with a blur at the limit is the same in all further mip levels.
+            # In an octave, the blur stops growing at ``_WIDEST_BLUR_RAD``; all further mip levels of the octave are
+            # equal.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -145,9 +146,9 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the most blurred finer mip level from which one octave of ``level`` can be computed by a blur.
+        """Return the most blurred of the finer mip levels from which a blur can compute one octave of ``level``.
 
-        The standard deviation of the blur must be at least the distance of azimuth samples in the finer level.
+        The standard deviation of that blur must be at least the distance of azimuth samples in the finer level.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
@@ -161,11 +162,11 @@ def has_mip_levels(plan: Plan) -> bool:
 
 
 def megabytes(plan: Plan) -> float:
-    """Return the size of a plan's table [MB]; an unknown number of functions of w is estimated by that of the terms."""
+    """Return the size of a plan's table [MB]; an unset number of functions of w is estimated by the number of terms."""
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 
 
 def layout_of(plan: Plan) -> MipLayout:
-    """Return the layout of a plan's table, with mip levels if the plan requires them."""
+    """Return the layout of the table that a plan describes, with mip levels if its look-ups are blurred."""
     layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.covering(plan.direction_range).frequency)
     return layout.with_mip_levels() if has_mip_levels(plan) else layout

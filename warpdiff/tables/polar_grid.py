@@ -6,8 +6,9 @@ over λ of any number of orders, for every light and view. ``colour_table`` comp
 coherence.
 
 A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. The table of a source contains
-spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Wavelengths are sampled
-instead near the mirror direction, and where a grazing source blurs less than the table.
+spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Tables of sources
+exclude directions near the mirror direction, and directions where the blur of a grazing source is less than that of the
+table; for those, wavelengths are sampled.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Factor of the number of azimuth samples in tables of sources. More samples reduce the blur of the table, so that fewer
-# grazing directions require sampling; memory is proportional to the factor.
+# Factor by which tables of sources have more azimuth samples than other tables. More samples reduce the blur of the
+# table, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
 # Limit: smallest |(u, v)| of table look-ups under a source, in standard deviations of the source. Nearer to the mirror
 # direction, a polar blur is inaccurate: at a quarter of this limit, the median error was 4e-2.
@@ -45,10 +46,12 @@ LOG_RED, LOG_BLUE = (
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Order of convergence: the error of a table is proportional to the number of rings to the power of minus this number.
 ERROR_ORDER = 2.0
-# Distance of two orders at which their lobes overlap little, in standard deviations of the spectrum's blur.
+# Distance of two neighbouring orders beyond which they count as separate, in standard deviations of the spectrum's
+# blur.
 _ORDERS_APART_SIGMAS = 4.0
-# Share of the tolerance that the table of a sky is expected to need; the scatter of samples needs the rest. Fitted: at
-# a tolerance of 0.1, colours under a smooth sky at 80° are wrong by 2.4 % with a share of 1, by under 2 % with this.
+# Expected error of a table for skies, as a share of the tolerance; the random scatter of the sky samples needs the
+# rest. Fitted: at a tolerance of 0.1, colours under a smooth sky at 80° have an error of 2.4 % with a share of 1, and
+# below 2 % with this share.
 _SHARE_OF_SKIES = 1.0 / 3.0
 # Limit: largest size of a table [MB]. Larger tables require more time to compute than they save.
 MOST_MEGABYTES = 300.0
@@ -106,12 +109,12 @@ def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: fl
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| of table look-ups; 0 for windows, as only the blur of a source limits it."""
+    """Return the smallest |(u, v)| that a table can serve: 0 for windows, and a multiple of the spread for a source."""
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
 def blur(coherence: Coherence) -> float:
-    """Return the standard deviation of the power spectrum's blur [1/µm]; for a source, that at 0.55 µm."""
+    """Return the standard deviation of an order in the power spectrum [1/µm]; for a source, at 0.55 µm."""
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
@@ -128,7 +131,7 @@ def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
 
 
 def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
-    """Whether a patch is so small that its orders are separated by more than the spectrum's blur."""
+    """Whether a patch is so small that neighbouring orders of its spectrum do not overlap."""
     lengths = [length for n, length in zip(heightfield.shape, heightfield.size_um, strict=True) if n > 1]
     return max(lengths, default=0.0) * _ORDERS_APART_SIGMAS * blur(coherence) < 1.0
 
@@ -146,9 +149,10 @@ def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float
 
 
 def size_for_skies(plan: Plan) -> tuple[int, float]:
-    """Return the size of the tables that colours under a sky are looked up in, at most that of the plan's own table.
+    """Return the table size for look-ups under a sky, at most that of the plan's own table.
 
-    Errors of a table change their sign between neighbouring directions, and cancel in the sum over a sky.
+    A smaller table suffices for a sky, because the errors of a table change their sign between neighbouring directions
+    and partly cancel in the sum over the sky.
     """
     rings = plan.rings_per_octave or math.inf
     size = smallest_sufficient_size(plan, _SHARE_OF_SKIES) or table_sizes(plan.coherence)[-1]

@@ -34,14 +34,15 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Smallest |κ| of the basis, relative to the largest one. At smaller |κ|, only the zeroth order has power.
+# Smallest |κ| of the basis, relative to the largest |κ|. At smaller |κ|, all orders except the zeroth one are
+# negligible.
 _SMALLEST_KAPPA = 1e-3
-# Limits on the truncation error of the functions of w, as shares of the tolerance: for terms of powers, and for
-# cardinal polynomials in |κ|. Sums of cardinal polynomials may be smaller than each polynomial, so that their limit is
-# stricter.
+# Limits on the error of truncating the functions of w, as shares of the tolerance. The first is for a basis of powers.
+# The second is for cardinal polynomials in |κ|: their sums may be much smaller than the single terms, so that this
+# limit is stricter.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# Number of coefficients from which the size of each term is estimated, and the smallest size of a term relative to the
-# largest one.
+# Number of coefficients from which the typical size of each basis term is estimated, and the smallest size that a term
+# is assumed to have, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of |κ| at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
@@ -83,7 +84,8 @@ class SpectrumSource(ABC):
         basis: Basis functions in which the rows of the spectrum are expanded.
         at_kappas: For amplitudes, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes). The
             powers at these |κ| form a row of the spectrum. Zeros for powers.
-        zeroth: Zeroth order, which rows exclude unless its power is empty.
+        zeroth: Zeroth order, which is stored separately. If its array of powers is empty, the rows include the zeroth
+            order.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
         projections: Projections that were computed already, by illuminant and material.
     """
@@ -171,8 +173,8 @@ class WindowedSpectrum(SpectrumSource):
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Scratch space of each azimuth sample for its rings of both octaves. On the CPU, a slice writes only to the
-        # space of its first azimuth samples, and the rest is never in memory.
+        # Scratch space in which each azimuth sample has room for its rings of both octaves. On the CPU, a slice of
+        # azimuth samples uses only the room of its first ones. The rest is allocated but never in memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -185,7 +187,7 @@ class WindowedSpectrum(SpectrumSource):
 
 
 class Lines(NamedTuple):
-    """Spectral lines except the zeroth order, sorted by angle; each line is one Fourier coefficient.
+    """Spectral lines of all Fourier coefficients except the zeroth order, sorted by angle.
 
     Attributes:
         rows: Index of each line's row in the table of coefficients.
@@ -217,7 +219,7 @@ class LineSpectrum(SpectrumSource):
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
-        """Return the lines up to the largest frequency; the projector later adds them to the grid."""
+        """Return the lines up to the largest frequency of a look-up; :meth:`projector` adds them to the grid."""
         arguments, highest = self.table.arguments, self.layout.highest
         lengths = arguments.length_y, arguments.length_x
         most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
@@ -229,7 +231,8 @@ class LineSpectrum(SpectrumSource):
         qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
         squared = qy**2 + qx**2
         inside = (squared <= highest**2) & (squared > 0.0)
-        # Beyond the Nyquist frequency of the pitch, coefficients repeat periodically.
+        # Frequencies beyond the Nyquist limit of the pitch have coefficients too: the coefficients of a sampled surface
+        # are periodic in the frequency.
         rows = (s + arguments.origin_y) % arguments.count_y
         columns = (r + arguments.origin_x) % arguments.count_x
         coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
@@ -238,7 +241,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of one octave and of the next rings to the grid, and projects them."""
+        """Return a function that adds the lines of one octave and of the rings beyond it to the grid, and projects."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -249,7 +252,8 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # Lines near the angles 0 and 2π are repeated beyond the other end, because their blur extends there.
+            # The blur of lines near the angles 0 and 2π extends beyond the other end. Copies of these lines are
+            # therefore added there.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
@@ -273,7 +277,7 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """Return the class of spectra for a coherence."""
+    """Return the class of power spectra for a coherence: lines for a source, otherwise samples."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
@@ -333,7 +337,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the root mean square of each term relative to the norm of its row; ``rows`` has (my, mx, terms)."""
+    """Return the root mean square of each basis term, relative to its row's norm; ``rows`` has (my, mx, terms)."""
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """Cache of the most recently used tables of each height field; deleted together with the height field.
 
-Pictures with moving lights or cameras reuse the same tables. A search for a plan reuses tables of a few sizes. Keys are
-frozen dataclasses of everything on which a table depends, except the heights.
+Pictures with moving lights or cameras reuse the same tables. A search for a plan tries tables of a few sizes, which the
+cache keeps for later calls. Keys are frozen dataclasses of everything on which a table depends, except the heights.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Limits per height field: number of cached entries of each kind except colour tables, and total size of the cached
-# colour tables [bytes]. Memory is proportional to these limits.
+# Limits per height field. First number: cached entries of each kind, except colour tables. Second number: total size of
+# the cached colour tables [bytes]. Memory is proportional to these limits.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 

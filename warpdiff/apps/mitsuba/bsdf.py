@@ -12,8 +12,9 @@ diffraction does not conserve energy, so the reflected power may exceed the inci
 the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
-or from the Gaussian lobe of the mean plane. Then ωo = −ωi − λ q, with dω = λ²/cos θo dq. The sampling draws one of the
-ray's wavelengths, and the density is the mean over all of them (hero wavelengths, Wilkie et al. 2014).
+or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Then ωo = −ωi − λ q, with
+dω = λ²/cos θo dq. The sampling draws one of the ray's wavelengths, and the density is the mean over all of them (hero
+wavelengths, Wilkie et al. 2014).
 """
 
 from __future__ import annotations
@@ -26,20 +27,22 @@ import numpy as np
 import warpdiff as wd
 from warpdiff.core.wording import ArgumentValueError, ref
 
-# Type of Mitsuba's values, arrays and modules. The actual type depends on the variant, which is set at run time.
+# Type of Mitsuba's values, arrays and modules. Which classes these are depends on Mitsuba's variant, which is set at
+# run time.
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# Probabilities of the sampling densities. Limits: they only change the noise. The uniform density over the disc avoids
-# missed lobes and has the first probability. The others are the bounds of the mean plane's probability.
+# Probabilities of drawing from each sampling density; they only change the noise. The first is that of a uniform
+# density over the disc of the table's coordinates, which avoids missed lobes. The other two are the bounds of the
+# probability of the zeroth order's lobe.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
-# Texels per side of the colour table. Limit: twice the number needs four times the memory.
+# Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
 _SIZE = 1024
-# Values of κ (as a fraction of its range) and of w whose power gives the cells' probabilities. Limits: they only change
-# the noise.
+# Value of κ, as a fraction of its range, and value of w at which a table is evaluated to obtain the sampling
+# probabilities of its cells. Limits: they only change the noise.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
-# Least cosine between a direction and the normal; below it the BSDF is zero. Limit: the geometry factor diverges at the
-# horizon.
+# Smallest cosine of the angle between a direction and the normal; for smaller cosines the BSDF is 0. Limit: the
+# geometry factor diverges at the horizon.
 _LEAST_COSINE = 1e-4
 
 
@@ -81,7 +84,7 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 
 
 class _Table:
-    """Table of lobes, in arrays of Mitsuba's variant.
+    """Table of the BSDF's lobes, in arrays of Mitsuba's current variant.
 
     The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The argument of the functions is
     κ = w/λ for a spectrum and w for colours.
@@ -94,11 +97,11 @@ class _Table:
         entries: Number of samples of each function.
         first: κ or w of the first sample.
         span: Difference of κ or w between the last and the first sample.
-        zeroth: Power of the mean plane at each sample of κ or w.
-        deviation: Standard deviation of the mean plane's Gaussian lobe, in the grid's unit.
-        peak: Maximum density of the mean plane's lobe, 1/(2π deviation²).
+        zeroth: Power (or colour) of the zeroth order at each sample of κ (or w).
+        deviation: Standard deviation of the Gaussian lobe of the zeroth order, in the unit of the grid's coordinates.
+        peak: Maximum density of the zeroth order's lobe, 1/(2π deviation²).
         per_cell: Density of a uniform distribution over one cell, 1 divided by the cell's area.
-        distribution: Probability of each cell for the sampling.
+        distribution: Probability with which the sampling of outgoing directions selects each cell.
     """
 
     def __init__(
@@ -116,8 +119,8 @@ class _Table:
         self.zeroth = mi.Texture1f(mi.TensorXf(np.ascontiguousarray(zeroth, dtype=np.float32).reshape(len(zeroth), -1)))
         self.per_cell = (self.size / (2.0 * largest)) ** 2
         power = np.maximum(typical, 0.0)
-        # The table is interpolated linearly between cells. A dark cell next to a bright one therefore reflects, too,
-        # and each cell gets the probability of its brightest neighbour.
+        # Look-ups interpolate linearly between cells, so that a dark cell next to a bright one also reflects light.
+        # Each cell therefore has the sampling probability of its brightest neighbour.
         for axis in (0, 1):
             power = np.maximum.reduce([np.roll(power, step, axis) for step in (-1, 0, 1)])
         centres = (np.arange(self.size) + 0.5) / self.size * 2.0 - 1.0
@@ -129,14 +132,14 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the texture coordinate (0 to 1) of a value of κ or w, in a texture with ``entries`` texels."""
+        """Return the coordinate from 0 to 1 of a value of κ or w in a texture of ``entries`` texels."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """Return the power of the mean plane at a value of κ, or its colour at a value of w."""
+        """Return the zeroth order's power at a value of κ, or its colour at a value of w in RGB variants."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
@@ -155,13 +158,13 @@ class _Table:
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Return the density of the mean plane's Gaussian lobe at the coordinates (x, y) of the grid."""
+        """Return the density of the zeroth order's Gaussian lobe at the coordinates (x, y) of the grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the sampling density of the grid's cells at the coordinates (x, y)."""
+        """Return the density with which the cells are sampled at the coordinates (x, y) of the grid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -180,7 +183,7 @@ def _spectrum(filename: str) -> _Table:
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # With this factor the density over q integrates to 1.
+    # With this normalisation, the integral of the density D over q is 1.
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,
@@ -244,7 +247,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """Return the ray's wavelengths in µm, the scale from q to (u, v); 1 for colours."""
+            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm; 1 for colours."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]
@@ -255,9 +258,10 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
 
         def _mirror_share(self, cos_i: Variant, scale: Variant) -> Variant:
-            """Return the probability that the sampling draws the mean plane's lobe, for one wavelength.
+            """Return the probability that the sampling draws from the zeroth order's lobe, for one wavelength.
 
-            The probability is the mean plane's power in the mirror direction, limited to the range from 0.05 to 0.9.
+            The probability is the power of the zeroth order in the mirror direction, limited to the range from 0.05 to
+            0.9.
             """
             power = self._table.zeroth_at(2.0 * cos_i / scale)
             return dr.clip(power[1] if len(power) == 3 else power[0], _LEAST_MIRROR, _MOST_MIRROR)
@@ -292,7 +296,8 @@ def _bsdf_class(table_of: Variant) -> Variant:
                     power = mi.Float(0.0)
                     for k in range(len(functions)):
                         power += coefficients[channels * k + channel] * functions[k]
-                    # Negative interpolated power is set to 0. RGB colours outside of the sRGB gamut remain negative.
+                    # Interpolated power may be slightly negative and is set to 0. RGB colours outside of the sRGB gamut
+                    # stay negative.
                     power = dr.maximum(power, 0.0) if spectral else power
                     values.append(factor * (power + zeroth[channel] * lobe) / (scale * scale))
             return mi.Spectrum(*values) if spectral else mi.Color3f(*values)
@@ -303,7 +308,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
         def sample(
             self, _ctx: Variant, si: Variant, sample1: Variant, sample2: Variant, active: Variant = True
         ) -> Variant:
-            """Draw a direction; return a ``BSDFSample3f``, and the BRDF times cos θo over the sampling density."""
+            """Draw a direction; return a ``BSDFSample3f``, and the BRDF times cos θo divided by the density."""
             scales, table = self._scales(si), self._table
             at = sample1 * len(scales)
             scale = scales[-1]

@@ -19,11 +19,12 @@ _WRITERS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def check_target(path: Any, suffixes: Sequence[str]) -> Path:
-    """Return the checked path of an animated file.
+    """Check whether an animated file can be written, and return its path.
 
     Args:
         path: Path that the user gave.
-        suffixes: Suffixes of the frames' files; the animation requires ``".png"``.
+        suffixes: Suffixes of the frames' files. They must include ``".png"``, because the animation is made from PNG
+            frames.
 
     Raises:
         ValueError: The suffix is unknown, or there are no PNG frames.
@@ -43,7 +44,7 @@ def check_target(path: Any, suffixes: Sequence[str]) -> Path:
 
 
 def write(target: Path, frames: Sequence[Path], frames_per_second: float) -> None:
-    """Write the frames of several files into one animated file, which loops forever.
+    """Write the pictures of several files as the frames of one animated file, which repeats endlessly.
 
     Frames are loaded one at a time. Whether Pillow keeps them all in memory depends on the format.
     """
@@ -66,7 +67,7 @@ def _opened(path: Path) -> Image:
 
 
 class _Opened:
-    """Frames that are opened one at a time. Some of Pillow's writers iterate over the frames more than once."""
+    """Sequence of frames that opens one file at a time. Some of Pillow's writers iterate over the frames twice."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths

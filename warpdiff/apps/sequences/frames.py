@@ -1,4 +1,4 @@
-"""Rendering of the files of one frame, in this process or by workers of a Dask cluster, with identical bytes.
+"""Rendering of a frame's files, in this process or by workers of a Dask cluster; both give identical files.
 
 Workers (https://distributed.dask.org) may join or leave the cluster during a sequence.
 """
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import Light
     from warpdiff.render.renderer import Renderer
 
-# Number of times that a lost frame, or the lost renderer of all workers, is sent again. Limit: a worker that always
-# crashes must end the sequence. Twice the number only delays the error.
+# Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. Limit: a
+# worker that always crashes must end the sequence. If doubled, only the error appears later.
 _RETRIES = 5
-# Number of submitted frames per thread of a worker. Limit: finished frames wait in memory until they are written. Twice
-# the number needs twice the memory.
+# Number of frames that are sent to the workers in advance, per thread of a worker. Limit: finished frames wait in
+# memory until they are written. If doubled, they require twice the memory.
 _AHEAD = 2
-# Number of environments whose arrays of 14 MB stay on the device. Limit: twice the number needs twice the memory. An
-# environment that is the same in all frames is then uploaded only once.
+# Number of environment lights whose arrays of 14 MB each stay on the device. With 2, an environment that is the same in
+# all frames is uploaded only once. If doubled, the arrays require twice the memory.
 _MOST_SKIES = 2
 
 
@@ -55,7 +55,7 @@ class FrameRenderer:
     """Renderer of the frames of a sequence, which limits the memory of environment lights.
 
     Attributes:
-        renderer: Renderer of the pictures.
+        renderer: Renderer that draws each frame.
     """
 
     def __init__(self, renderer: Renderer) -> None:
@@ -71,8 +71,9 @@ class FrameRenderer:
     def _transient(self, light: Light) -> Light:
         """Return a copy of an environment light, and other lights unchanged.
 
-        An environment keeps its arrays of 14 MB as long as it exists. The arrays of a shot's own environment would stay
-        in memory for the whole sequence; those of the last few copies are freed.
+        An environment keeps its device arrays of 14 MB as long as it exists, and the shots exist during the whole
+        sequence. Their environments are therefore not used themselves. Only the last few copies exist, and their arrays
+        are freed with them.
         """
         if not isinstance(light, Environment):
             return light
@@ -91,7 +92,7 @@ def draw_frame(
         }
 
 
-# Renderer and shots of the last sequence that this worker process has drawn, by the sequence's key.
+# Renderer and shots of the sequence that this worker process drew last, by the key of the sequence.
 _sequences: dict[str, tuple[FrameRenderer, Sequence[Shot]]] = {}
 _making = threading.Lock()
 

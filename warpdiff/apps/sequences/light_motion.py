@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.base import Light
 
-# Largest sine of the angle between the rotation axis and the vertical at which an environment light can rotate. Limit:
-# far above rounding errors. The horizon of an environment is always level.
+# Environment lights can rotate only about a vertical axis, because their horizon is always level. The number is the
+# largest permitted sine of the angle between the axis and the vertical. Limit: far above rounding errors.
 _VERTICAL = 1e-6
 
 
@@ -54,7 +54,8 @@ class Rotation:
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
 
     def _rotated(self, light: Light, name: str) -> Light:
-        # Subclasses of these lights are rejected: they may have further directions, which this method cannot rotate.
+        # Subclasses of these lights are rejected: they may have additional directions, which this method would not
+        # rotate.
         if type(light) is DirectionalLight:
             return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
         if type(light) is PointLight:
@@ -72,12 +73,12 @@ class Rotation:
                 "or let the light stay"
             )
         degrees = light.rotation_deg + math.copysign(1.0, self.axis[1]) * math.degrees(self.angle)
-        # The rotated environment shares its radiance maps with the original.
+        # The rotated environment is a copy that shares the radiance maps of the original.
         return with_settings(light, math.remainder(degrees, 360.0), light.scale, light.directions)
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from the point ``centre`` towards the first light of a sweep."""
+    """Return the unit vector from the point ``centre`` to the first light, which ``light_sweep`` moves."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

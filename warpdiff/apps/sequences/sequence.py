@@ -32,11 +32,12 @@ if TYPE_CHECKING:
 
 Format = Literal[".png", ".exr"]
 FORMATS: tuple[Format, ...] = get_args(Format)
-# Version of the hash of a sequence. It must increase when a new release makes other frames from the same arguments.
+# Version number in the hash of a sequence. It must increase when a new release renders other frames from the same
+# arguments; frames of the old release are then not reused.
 _VERSION = 2
 _MANIFEST = "sequence.json"
-# Number of frames from which automatic exposure is measured, and the longer side of these frames in pixels. Limits: the
-# measurement must be much faster than one frame. Twice the width needs four times as long.
+# Number of small frames from which automatic exposure is measured, and length of their longer side in pixels. Limits:
+# the measurement must be much faster than one frame. If the length is doubled, it requires four times the time.
 _METERED, _METERED_WIDTH = 16, 160
 
 
@@ -133,7 +134,7 @@ def sequence(
     report(done / len(shots))
 
     def report_within(share: float) -> None:
-        # The fraction 1 of a frame is reported only after its files are written.
+        # The finished fraction of a frame is 1 only after its files are written.
         if share < 1.0:
             report((done + share) / len(shots))
 
@@ -184,12 +185,12 @@ def _check_shots(shots: Any, renderer: Renderer) -> None:
 
 
 def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
-    """Return a hash of everything that determines the frames: renderer, shots and options of the files."""
+    """Return a hash of everything that determines the files: renderer, shots, and options of saving."""
     digest = hashlib.sha256(str(_VERSION).encode())
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings, heightfield = state["settings"], state["heightfield"]
-    # The plan replaces tolerance, method and integration, from which it was computed.
+    # Tolerance, method and integration need no hash, because the plan that was computed from them has one.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})
@@ -200,12 +201,12 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The text of a shot contains only the name of a spectrum and the rounded settings of an environment. The
-            # arrays of both are therefore hashed as well.
+            # The text of a shot contains spectra only by name, and settings of an environment only rounded. Their exact
+            # values and arrays are therefore hashed as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):
-                # Environments that differ only in their rotation share one image, which is hashed once.
+                # Environments that differ only in their rotation share one image. The image is hashed only once.
                 image = np.asarray(light.radiance_rgb)
                 radiances[id(image)] = radiances.get(id(image)) or hashlib.sha256(image.tobytes()).hexdigest()
                 _feed(digest, (image.shape, radiances[id(image)], light.rotation_deg, light.scale, light.directions))
@@ -213,7 +214,7 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Add a value to a hash: an array, a dataclass, a mapping, a sequence, or any object with a repr."""
+    """Add a value to a hash: an array, a dataclass, a mapping, a sequence, or any object by its repr."""
     if isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)
@@ -231,7 +232,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
-    """Return the manifest of a folder: key and exposure of its frames; an empty one if the folder has no frames.
+    """Read the manifest of a folder: the key and the exposure of its frames; return {} if the folder has no frames.
 
     Args:
         folder: Folder of the frames.
@@ -256,7 +257,8 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
             f"{ref('folder')}: {folder} holds frames of another sequence, with other arguments: name another folder, "
             f"or give {ref('overwrite', True)}"
         )
-    # The manifest is deleted before the frames. After an interruption, old frames cannot be mistaken for new ones.
+    # The manifest is deleted before the frames. If the deletion is interrupted, the remaining frames without a manifest
+    # cannot be mistaken for new ones.
     path.unlink(missing_ok=True)
     for frame in folder.glob("frame_*"):
         if frame.suffix in FORMATS:
@@ -282,7 +284,7 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
     for shot in chosen:
         image = small.draw(Shot(shot.lights, dataclasses.replace(shot.view, width=width, height=height)))
         report(0.0)
-        # A black picture has no automatic exposure.
+        # A black picture has no automatic exposure and is left out of the mean.
         if image.xyz[..., 1].max(initial=0.0) > 0.0:
             logarithms.append(math.log(image.auto_exposure))
     mean = math.exp(sum(logarithms) / len(logarithms)) if logarithms else 1.0
@@ -300,13 +302,13 @@ def _is_whole(path: Path, shot: Shot) -> bool:
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            # OpenImageIO prints errors that nobody has read when the process ends.
+            # OpenImageIO prints unread error messages at the end of the process. Reading the message prevents this.
             oiio.geterror()
             return False
         spec = source.spec()
         is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
         if path.suffix == ".exr" and is_whole:
-            # A complete EXR file ends with the last row of pixels.
+            # The last rows of an EXR file are written last. If they can be read, the file is complete.
             is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
             source.geterror()
         source.close()

@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Largest number of shots. Limit: an hour at 24 frames per second is 86,400 frames. A shot needs a few kilobytes.
+# Largest number of shots. Limit: one hour at 24 frames per second has 86,400 frames. A shot requires a few kilobytes.
 MOST_SHOTS = 100_000
-# Largest number of turns. Limit: a larger number is probably a mistake in the unit.
+# Largest number of turns. Limit: a larger number is probably an angle in degrees.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]
-# Least sine of the angle between two directions that define a great circle. Limit: below it the axis is rounding error.
+# Smallest sine of the angle between two directions that define a great circle. Limit: for smaller angles, the axis of
+# the rotation consists of rounding errors.
 _LEAST_SINE = 1e-9
 _COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 _MORE_COLUMNS = ("up_x", "up_y", "up_z", "fov_y_deg")
@@ -98,7 +99,8 @@ def turntable(
     target, offset = np.array(view.target), np.subtract(view.eye, view.target)
     shots = []
     for k in range(count):
-        # The body stays fixed in the world frame. Camera and lights rotate in the opposite direction.
+        # The frames are those of a rotating body. The body itself stays fixed in the world frame; camera and lights
+        # rotate in the opposite direction.
         rotation = Rotation(axis, -angle * k, target)
         eye = target + rotation.matrix @ offset if k else np.array(view.eye)
         moved = rotation.rotated(lights) if lights_follow else tuple(lights)
@@ -274,7 +276,7 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Interpolate ``count`` rows by monotone cubics through the given rows, including the first and the last one."""
+    """Interpolate ``count`` rows by monotone cubics through ``rows``, from the first to the last of them."""
     from scipy.interpolate import PchipInterpolator
 
     if len(rows) == 1:

@@ -40,28 +40,28 @@ METALS = {
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Options of pictures that get no control of the same name.
+# Options of pictures for which the page has no control of the same name.
 EXCLUDED = (
     # Several other controls set these options: those of coherence, of the material, and of the height field's x axis.
     *("coherence", "material", "tangents"),
     # The command line that starts the viewer sets these options.
     *("device", "threads"),
-    # The viewer sets these options, because it refines a picture in stages down to the tolerance.
+    # The viewer sets these options itself: it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
     # The planner selects these options from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
 )
 _SKY = "Environment"
-# Value of the environment control that selects the computed clear sky instead of a file.
+# Value of the control "environment" that selects the computed clear sky instead of a file.
 CLEAR_SKY = "clear sky"
-# Label and meaning that the controls "along" and "tangent" share.
+# Label and help text of the two controls that set the height field's x axis, "along" and "tangent".
 _X_AXIS = "x axis of the height field", "Direction of the height field's x axis on the body."
 _DIRECTIONS = {0: "64", 16: "16", 256: "256", 1024: "1024"}
 _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
-# Offered heights of a picture [pixels].
+# Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
-# Names on the page of the library's arguments that no control sets. Error messages print these names.
+# Words for those arguments of the library that no control sets. Error messages on the page print these words.
 _WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
 _UNITS = {"um": "µm", "deg": "°"}
 # Lowest value, highest value and step of a slider; None is no slider.
@@ -74,7 +74,7 @@ class Control:
     """Control of the page.
 
     Attributes:
-        option: Description of the option: type, choices, meaning, unit and default.
+        option: Description of the library's option that the control sets: type, choices, meaning, unit and default.
         group: Heading of the group that contains the control.
         label: Text next to the control.
         slider: Lowest value, highest value and step, for a number.
@@ -113,12 +113,13 @@ class Control:
     def check(self, value: Any) -> Any:
         """Return a value if the control accepts it; raise an error with the control's name otherwise."""
         if self.labels:
-            # A value from a page may be a list, which has no hash, so that its type is checked before the look-up.
+            # A page may send a list, which cannot be looked up in a dictionary. The type of the value is therefore
+            # checked first.
             if type(value) not in (str, int, float) or value not in self.labels:
                 names = ", ".join(map(repr, self.labels.values()))
                 raise ArgumentValueError(f"{ref(self.name)} must be one of {names}, got {value!r:.60}")
             return next(choice for choice in self.labels if choice == value)
-        # The error messages avoid Python's words, such as True, because users of the page may not know Python.
+        # Error messages say "on or off" instead of True or False, because users of the page may not know Python.
         kinds, rule = (bool, "on or off") if self.slider is None else ((int, float), "a number")
         if not isinstance(value, kinds) or (self.slider and isinstance(value, bool)):
             raise ArgumentTypeError(f"{ref(self.name)} must be {rule}, got {value!r:.60}")
@@ -166,8 +167,8 @@ def controls(
     """
     bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
-    # The first choice is the default. A page with environment files starts with the first file and no light. Other
-    # pages start with a directional light.
+    # The first choice of a control is its default. If the page offers environment files, it starts with the first file
+    # and no other light; otherwise it starts with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, saving = describe(PictureSettings), describe(Coherence), describe(Image.save)
@@ -215,7 +216,8 @@ def controls(
                 name="environment_scale", call="environment"),
         Control(sky["directions"], _SKY, "directions per pixel", shown_if=any_sky, default=0, labels=_DIRECTIONS,
                 name="environment_directions", call="environment"),
-        # The default is 10,000: in a mirror, a radiance of 1 looks about 10,000 times as bright as a light of power 1.
+        # The default of the light's power is 10,000: in the mirror direction of a surface, an environment of radiance 1
+        # looks about as bright as a directional light of power 10,000.
         Control(light["power"], _SKY, "power of the light", (1.0, 1e6, 1.0), log=True, shown_if=any_sky | any_light,
                 default=1e4, name="light_power", call="light"),
         _own("environment_behind", _SKY, "show as background", "Whether it is the background.", True, shown_if=any_sky),
@@ -226,7 +228,8 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # Wider discs are not offered, because unrefined pictures show them as several separate lobes.
+        # Disc lights of a larger diameter are not offered. They consist of several lobes, which previews show as
+        # separate highlights.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
@@ -260,7 +263,7 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control that has no option in the library. It is a choice (with ``labels``), a flag or a number.
+    """Return a control for a value that is no option of the library: a choice (with ``labels``), a flag or a number.
 
     The default of a choice is its first value.
     """
@@ -270,14 +273,14 @@ def _own(name: str, group: str, label: str, text: str, default: Any = None, unit
 
 
 def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
-    """Return the control of an argument of the gratings ``kinds``. The page shows it only for these gratings."""
+    """Return the control of an argument of gratings, shown only if one of the gratings ``kinds`` is selected."""
     option = describe(getattr(gratings, kinds[0]))[argument]
     more = {"name": f"{kinds[0]}_{argument}"} | more
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
 
 
 def _further(known: set[str]) -> list[Control]:
-    """Return controls for the options of pictures that are not in ``known``: flags, choices and bounded numbers."""
+    """Return controls for the flags, choices and bounded numbers among the options of pictures not in ``known``."""
     result = []
     for option in describe(PictureSettings).values():
         slider: Slider = None
@@ -328,7 +331,8 @@ def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # If the library's default is None, the control's default is the value that the library then uses.
+            # If the library's default is None, the control's default is compared instead; it is the value that the
+            # library uses for None.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# JPEG settings of previews. Chroma subsampling is off, because it makes the colours of narrow diffraction orders wrong.
+# JPEG settings of previews. Chroma subsampling is off: it averages colours over 2 × 2 pixels, which would falsify
+# narrow diffraction orders.
 _JPEG = {"quality": 92, "subsampling": 0}
 
 
@@ -40,8 +41,9 @@ def encoded(pixels: NDArray[np.uint8], *, lossless: bool) -> bytes:
 
 
 def saved(image: wd.Image, suffix: str, options: Mapping[str, Any]) -> bytes:
-    """Return the bytes of a file that :meth:`warpdiff.Image.save` writes, ``suffix`` being ``png`` or ``exr``."""
-    # EXR files are scene-linear and have an alpha channel, so that display transform and background do not apply.
+    """Return the bytes of the file that :meth:`warpdiff.Image.save` writes for the suffix ``png`` or ``exr``."""
+    # EXR files contain scene-linear colours and an alpha channel. Display transform and background do not apply to
+    # them.
     options = options if suffix == "png" else {}
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
         return image.save(Path(folder) / f"picture.{suffix}", **options).read_bytes()

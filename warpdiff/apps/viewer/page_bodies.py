@@ -30,7 +30,7 @@ _TOWARDS_EYE = (0.0, 0.6, 0.8)
 def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
     """Return the surface of a mesh file or of a sample body.
 
-    The disk cache stores sample bodies, because building one requires more time than rendering a picture.
+    Sample bodies are stored in the disk cache, because making one requires more time than rendering a picture.
 
     Args:
         mesh: Path of a mesh file, or the call that makes a sample body.
@@ -39,7 +39,7 @@ def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # A sample body is a single mesh, so that the names of geometries need not be stored.
+    # A sample body is a single mesh. The disk cache therefore does not store names of geometries.
     fields = {field.name: None for field in dataclasses.fields(Surface) if field.name != "geometry_names"}
 
     def arrays() -> dict[str, Any]:
@@ -74,7 +74,7 @@ def local_directions(
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
     ray = x * frame.right + y * frame.up - frame.back
-    # The hit point is computed as a picture of a single pixel.
+    # The hit point is computed by rendering a picture of one pixel, whose ray is that of the pixel's centre.
     one = wd.View(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
@@ -106,7 +106,7 @@ def nearest_pixel(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:
 
     Args:
         mask: Boolean array of pixels.
-        probe: Position from the left and from the top of the picture, 0 to 1.
+        probe: Position in the picture, as fractions of its width from the left and of its height from the top, 0 to 1.
     """
     rows, columns = np.nonzero(mask)
     if not len(rows):
@@ -126,7 +126,7 @@ def angles_deg(direction: Sequence[float]) -> dict[str, float]:
 def height_field_of(call: Call) -> wd.HeightField:
     """Return the height field that a call makes.
 
-    The disk cache stores synthetic gratings, because making nano-fingers requires half a second.
+    Synthetic gratings are stored in the disk cache, because making the one called nano-fingers requires half a second.
     """
     if not call.function.startswith("gratings."):
         result: wd.HeightField = call.make()
@@ -141,7 +141,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the view of a page's full-size picture; without a camera of the page, the initial view of the body."""
+    """Return the view of a page's full-size picture: the request's camera, or else the body's initial view."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

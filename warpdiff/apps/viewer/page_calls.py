@@ -1,4 +1,4 @@
-"""Library calls that the values of a page's controls describe, to be executed or printed as Python or as a command."""
+"""Library calls that correspond to the values of a page's controls. They are executed, or printed as code."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.controls import Control
 
-# Number of environment directions per pixel during a movement. Limit: about 14 pictures per second; twice the number
-# makes them slower.
+# Number of directions in which an environment light is sampled per pixel during a movement. Limit: with 16, the viewer
+# shows about 14 pictures per second; with more, fewer.
 _MOVING_DIRECTIONS = 16
-# Decimal places of directions in printed code. Limit: further decimals do not change a picture.
+# Decimal places of coordinates in printed code. Limit: further decimals do not change a picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
 
@@ -39,7 +39,7 @@ class Call:
 
     Attributes:
         function: Name of the function in ``warpdiff``, or of a method if there is a ``receiver``.
-        operands: Positional arguments.
+        operands: Positional arguments of the call.
         options: Keyword arguments as pairs of name and value.
         receiver: Call that returns the object of the method; None for a function.
     """
@@ -86,9 +86,9 @@ class NamedFiles:
     """Files that the command line names for the page, and options for loading height fields.
 
     Attributes:
-        meshes: Mesh files.
-        heights: Files of height fields.
-        environments: Image files of environment lights.
+        meshes: Mesh files that the page offers.
+        heights: Files of height fields that the page offers.
+        environments: Image files of environment lights that the page offers.
         loading: Options of ``HeightField.load``.
         cleaning: Cleaning methods of ``HeightField`` with their options, in order of application.
     """
@@ -113,7 +113,7 @@ class PageRequest:
         generation: Number of the request; the page increases it with every change.
         values: Values of all controls by name.
         camera: Camera, of which the image size is ignored; None selects the initial view of the body.
-        aspect: Width of the picture divided by its height.
+        aspect: Width of the requested picture divided by its height.
         moving: Whether a mouse button or finger is down, so that further changes may follow soon.
         probe: Position of the point whose local directions are shown, from the left and the top of the picture, 0 to 1.
     """
@@ -128,7 +128,7 @@ class PageRequest:
 
 @dataclass(frozen=True)
 class Scene:
-    """Scene of a picture without its view: body, height field, lights and options.
+    """Everything that determines a picture except the view: body, height field, lights and options.
 
     Attributes:
         mesh: Call that makes a sample body, or path of a mesh file.
@@ -156,7 +156,7 @@ class Scene:
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
         """Return the scene that checked values of the controls describe.
 
-        A point light is still a directional light in it. The method :meth:`placed` replaces it.
+        In this scene, a directional light stands for a point light, until :meth:`placed` replaces it.
         """
         known = files.controls
         mesh, tangents = _mesh(values, files)
@@ -183,9 +183,10 @@ class Scene:
         )  # fmt: skip
 
     def placed(self, centre: Sequence[float], radius: float) -> Scene:
-        """Return the scene with the point light at its position, which depends on the body.
+        """Return the scene with a point light at its position, which depends on centre and radius of the body.
 
-        The light's power is such that it illuminates the body's centre like a directional light.
+        The point light's power is such that it illuminates the body's centre like the directional light that it
+        replaces.
 
         Args:
             centre: Centre of the body, world frame.
@@ -206,11 +207,11 @@ class Scene:
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
     def at(self, tolerance: float | None) -> Scene:
-        """Return the scene of a preview, which is simpler if it has an environment light.
+        """Return the scene for a preview or an intermediate picture, which is simpler if it has an environment light.
 
-        An environment is sampled in fewer directions for a larger tolerance. An unrefined preview, with the tolerance
-        None, samples 16 directions and has no shadows: a picture of 320 × 240 requires 1.9 s with shadows and 0.1 s
-        without.
+        The larger the tolerance, the fewer directions of an environment are sampled. For an unrefined preview,
+        ``tolerance`` is None: it samples 16 directions and has no shadows, because 320 × 240 pixels require 1.9 s with
+        shadows and 0.1 s without.
         """
         if self.sky is None:
             return self
@@ -229,7 +230,7 @@ class Scene:
         """Return Python code that renders the scene and saves the picture.
 
         Args:
-            view: Camera.
+            view: Camera of the picture.
             tolerance: Tolerance of the picture.
             saving: Options of ``Image.save``.
         """
@@ -239,8 +240,8 @@ class Scene:
         shown = {name: _source(value) for name, value in saving.items()}
         if self.is_behind:
             first.append(f"view = {camera}")
-            # With a constant index of refraction, pictures are divided by the reflectance at normal incidence. The
-            # background is divided by the same number.
+            # With a constant index of refraction, pictures are relative to the reflectance at normal incidence. The
+            # radiance of the background is divided by the same reflectance.
             of_normal = "" if self.normal == 1.0 else f" / {self.normal!r}"
             shown["background"] = f"environment.background(view){of_normal}"
         lines = [
@@ -259,8 +260,8 @@ class Scene:
     def command(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
         """Return the command line that renders the scene and saves the picture.
 
-        The command plans for the directions of this one picture. Its picture may therefore differ from the viewer's by
-        the sum of both tolerances.
+        The command makes a plan for this one picture, but the viewer's plan serves many views. Both pictures may
+        therefore differ by up to the sum of both tolerances.
         """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
         if self.light is not None:
@@ -281,13 +282,13 @@ def _further(view: wd.View) -> dict[str, Any]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield the words of a value on the command line, without exponents, which argparse rejects in negative numbers."""
+    """Yield a value as words of a command line. Numbers have no exponents, which argparse rejects if negative."""
     for element in value if isinstance(value, tuple) else (value,):
         yield np.format_float_positional(element, trim="0") if isinstance(element, float) else str(element)
 
 
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield the words of options on the command line. A call, such as of a material, is written as its arguments."""
+    """Yield options as words of a command line. A call, for example that makes a material, yields its arguments."""
     for name, value in options.items():
         flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):
@@ -297,7 +298,7 @@ def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _named(call: Call | Path) -> str:
-    """Return the text for a body, a grating or a light on the command line, such as ``fingers:size_um=25.6``."""
+    """Return the word that stands for a body, a grating or a light on a command line: ``fingers:size_um=25.6``."""
     if isinstance(call, Path):
         return str(call)
     parameters = ",".join(f"{name}={'x'.join(_texts(value))}" for name, value in call.options)
@@ -312,7 +313,7 @@ def _height_field_words(call: Call) -> list[str]:
         call = call.receiver
     if call.function == "HeightField.load":
         return [call.operands[0], *_flags(dict(call.options)), *cleaning]
-    # The command line has other default values for gratings than the library, so that all parameters are written.
+    # For gratings, the command line has other default values than the library. All parameters are therefore written.
     function = getattr(wd.gratings, call.function.rpartition(".")[2])
     defaults = {option.name: option.default for option in describe(function).values()} | dict(call.options)
     options = {name: value for name, value in defaults.items() if value not in (None, REQUIRED)}
@@ -330,7 +331,7 @@ def _environment_words(call: Call) -> Iterator[str]:
 
 
 def _towards(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
-    """Return the unit vector of an azimuth (from the front, +z, to the right, +x) and an elevation (towards +y)."""
+    """Return a unit vector by its azimuth (from the front, +z, to the right, +x) and its elevation (towards +y)."""
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
     return math.cos(elevation) * math.sin(azimuth), math.sin(elevation), math.cos(elevation) * math.cos(azimuth)
 
@@ -348,7 +349,7 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the selected body, and the world axis of the height field's x axis; None uses the texture coordinates."""
+    """Return the selected body, and the world direction of the height field's x axis; None if texture gives it."""
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
     unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -359,7 +360,7 @@ def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tu
 
 
 def _file(name: str, paths: Sequence[Path]) -> Path | None:
-    """Return the file of a control's value such as "file 0", which contains its index; None for other values."""
+    """Return the file that a control's value such as "file 0" selects by its index; None for other values."""
     kind, _, index = name.partition(" ")
     return paths[int(index)] if kind == "file" else None
 

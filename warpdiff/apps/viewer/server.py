@@ -47,18 +47,20 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
-# Largest number of pages at once. Limit: one thread draws for all pages, so that each becomes slower.
+# Largest number of pages that are open at once. Limit: one thread renders for all pages, so that each page becomes
+# slower.
 MOST_PAGES = 8
 # Largest size of a message from a page [bytes]. Limit: a request has about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
-# Largest number of messages in the queue of a page. Limit: the queue of a page that reads no messages needs memory.
+# Largest number of messages that wait to be sent to a page. Limit: messages to a page that does not read them require
+# memory.
 _MOST_QUEUED = 12
-# Longest time until a new connection has sent its first request [s]. Limit: idle connections use resources.
+# Longest time within which a new connection must send its first request [s]. Limit: idle connections use resources.
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
-# Largest generation of a request. Limit: JavaScript represents integers exactly up to this number.
+# Largest generation of a request. Limit: JavaScript represents integers exactly only up to this number.
 _MOST_GENERATION = 2**53 - 1
 
 
@@ -81,7 +83,8 @@ def run(
     """
 
     def begin() -> Studio:
-        # These imports require a second. They run in another thread while the browser loads the page.
+        # Importing these modules requires a second. They are imported in another thread while the browser loads the
+        # page.
         from warpdiff.apps.viewer.session import Studio
 
         return Studio(files, defaults(files.controls), **options)
@@ -96,7 +99,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # If the drawing thread or the server cannot start, the error is raised here.
+        # If the drawing thread or the server failed to start, its exception is raised here.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -111,7 +114,7 @@ class ViewServer:
 
     Attributes:
         controls: Controls of the page.
-        studio: Function that waits until the drawing thread has started, and returns its object.
+        studio: Function that waits until the ``Studio`` with the drawing thread exists, and returns it.
         host: Address that the server listens on.
         port: Port that the server listens on. If it is 0, the server picks a free port and stores its number here.
         token: Token that requests must contain; empty if only this machine can reach the server.
@@ -135,13 +138,14 @@ class ViewServer:
     @property
     def address(self) -> str:
         """Address of the page, which a user opens in a browser."""
-        # An address such as 0.0.0.0 means all interfaces. Other machines need this machine's name instead.
+        # An address such as 0.0.0.0 stands for all network interfaces. The printed address then contains this machine's
+        # name, which other machines need.
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (the address is only compared)
         name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Run the server until the task is cancelled; call ``ready`` once the server listens."""
+        """Run the server until the asyncio task is cancelled; call ``ready`` when the server accepts connections."""
         async with serve(
             self._page, self.host, self.port, process_request=self._answer, max_size=_MOST_MESSAGE_BYTES, max_queue=4,
             compression=None, open_timeout=_OPENING_S, logger=self._logger, server_header=None,
@@ -162,8 +166,8 @@ class ViewServer:
         token = parse_qs(url.query).get("token", [""])[0]
         origins = f"http://{host}", f"https://{host}"
         refusals = [
-            # Before version 17, requests of websockets have no attribute ``method``, and websockets itself refuses
-            # methods other than GET.
+            # In websockets before version 17, requests have no attribute ``method``. These versions refuse methods
+            # other than GET themselves.
             (getattr(request, "method", "GET") != "GET", 405, "the method must be GET"),
             (not self._is_ours(host), 403, "the Host header must name this server"),
             (
@@ -193,7 +197,7 @@ class ViewServer:
         return False
 
     def _document(self, host: str) -> Response:
-        """Return the HTML page with its style sheet and its script inserted."""
+        """Return the viewer's HTML page, into which its style sheet and its script are inserted."""
         nonce = secrets.token_urlsafe(16)
         text = (_FOLDER / "page.html").read_text(encoding="utf-8")
         for name in ("page.css", "page.js"):
@@ -207,7 +211,8 @@ class ViewServer:
 
     async def _page(self, connection: ServerConnection) -> None:
         """Serve one page over its web socket."""
-        # The limit is checked again: several sockets may have been accepted before any of them was counted.
+        # The limit is checked again here, because several sockets may have been accepted before the first of them was
+        # counted.
         if self._pages >= MOST_PAGES:
             await connection.close(1013, "too many pages")
             return
@@ -240,7 +245,7 @@ class _Page:
         self._session = studio.session(self._send)
 
     def _send(self, description: dict[str, Any], data: bytes | None) -> None:
-        """Put a message into the queue of the page. The drawing thread calls this method.
+        """Put a message into the queue of messages to the page. The drawing thread calls this method.
 
         Args:
             description: JSON part of the message.
@@ -251,7 +256,8 @@ class _Page:
         if data is not None:
             head = text.encode()
             message = struct.pack("<I", len(head)) + head + data
-        # If the server has ended, its event loop is closed and raises ``RuntimeError``.
+        # After the end of the server, its event loop is closed and raises ``RuntimeError``; the message is then
+        # discarded.
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._put, message)
 
@@ -285,7 +291,7 @@ class _Page:
             await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Execute a message of the page: draw, save, or note that a picture was shown."""
+        """Execute a message of the page: request a picture, save the last one, or note that one was shown."""
         try:
             content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):
@@ -310,7 +316,7 @@ class _Page:
         self._put(json.dumps({"kind": "error", "text": text}))
 
     def _request(self, content: dict[str, Any]) -> PageRequest:
-        """Return the request for a picture that a page's message contains, after checks of all values."""
+        """Check all values in a page's message, and return the message as a request for a picture."""
         generation = validation.count(content.get("generation"), "generation", least=0, most=_MOST_GENERATION)
         aspect = validation.number(content.get("aspect"), "aspect", least=_ASPECTS[0], most=_ASPECTS[1])
         x, y = validation.numbers(content.get("probe"), "probe", length=2)

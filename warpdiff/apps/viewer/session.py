@@ -2,7 +2,8 @@
 
 One thread draws for all pages in turn. Pages therefore share tables, and memory does not grow with their number. Each
 request of a page has a generation, a number that the page increases with every change. Only the newest request of a
-page is drawn. A full-size picture is cancelled between two kernels once its page has sent a newer request.
+page is drawn. If a page sends a newer request while its full-size picture is rendered, the picture is cancelled after
+the running kernel.
 """
 
 from __future__ import annotations
@@ -42,37 +43,39 @@ if TYPE_CHECKING:
 
 # Tolerances of the intermediate pictures that precede the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
-# Time without a change, while a mouse button is still down, before a picture is refined [s]. Limit: a user sees twice
-# the time as a delay.
+# If a page is idle for this time while a mouse button is still down, its picture is refined [s]. Limit: users notice a
+# delay of twice this time.
 _REST_S = 0.15
-# Largest number of sent pictures that a page has not shown yet. Limit: twice the number doubles the delay on a slow
-# connection.
+# Largest number of pictures that are sent to a page before it has shown the first of them. Limit: twice the number
+# doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
-# Longest times for drawing a preview during a movement [s]. Limits: the first is about 15 pictures per second, the
-# second about 12. A preview that needs more than the first gets fewer pixels. A preview of 320 × 240 pixels may need
-# the second.
+# Longest times for rendering a preview during a movement [s]: about 15 and about 12 pictures per second. If a preview
+# is expected to require more than the first time, it gets fewer pixels, but at least _LEAST_PIXELS. With so few pixels,
+# it may require the second time.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
-# Factors on the sides of a preview during a movement.
+# Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Least number of pixels of a preview during a movement, unless drawing so many pixels needs more than 0.08 s.
+# Smallest number of pixels of a preview during a movement; fewer are rendered only if this many would require more than
+# 0.08 s.
 _LEAST_PIXELS = 320 * 240
-# Number of recent previews whose median time predicts the time of the next one. A larger preview than the last one may
-# use only this fraction of the time limit, so that sizes do not alternate.
+# First number: number of recent previews whose median time predicts the time of the next one. Second number: a preview
+# that is larger than the last one must be expected to require at most this share of the time limit, so that sizes do
+# not alternate.
 _TIMED, _HEADROOM = 5, 0.8
-# Limit on the memory of all cached renderers, and memory per pixel of one renderer, approximate [bytes].
+# Limit on the memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
 # Width and height of the reflectance map [pixels]. Limit: twice the size needs four times as long.
 MAP_SIZE = 192
-# Time between two progress messages to a page [s].
+# Shortest time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Settings of an environment light that can change without a new computation of its radiance maps.
+# Settings of an environment light that do not change its radiance maps.
 _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
-# Coverage from which a pixel counts as completely covered by the body; below 1 because of rounding.
+# Smallest coverage at which a pixel counts as completely covered by the body. It is below 1 because of rounding errors.
 _FULL_COVERAGE = 0.999
 
 
 class _CancelledError(Exception):
-    """Error that a progress callable raises to cancel a picture that no page waits for."""
+    """Exception by which a progress callable cancels a picture that its page no longer needs."""
 
 
 class Stage(NamedTuple):
@@ -131,7 +134,7 @@ def _bytes_of(renderer: wd.Renderer) -> float:
 
 @dataclass
 class _Caches:
-    """Caches of the objects that several pictures share; the keys are the texts of the calls that make the objects."""
+    """Caches of the objects that pictures share. A key is the text of the library call that makes the object."""
 
     surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
     environments: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(2))
@@ -160,8 +163,8 @@ class Studio:
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._caches = _Caches()
-        # Times of the last previews divided by the square root of their number of pixels [s]. The square root fits
-        # because a part of the time does not depend on the size.
+        # Times of the last previews divided by the square root of their number of pixels [s]. Part of the time does not
+        # depend on the number of pixels, so that the square root predicts better than the number itself.
         self._times: deque[float] = deque(maxlen=_TIMED)
         # Number of pixels of the last preview.
         self._last_pixels = math.inf
@@ -169,7 +172,7 @@ class Studio:
         self._thread.start()
 
     def session(self, send: Callable[[dict[str, Any], bytes | None], None]) -> Session:
-        """Add a page, and return its state. The drawing thread calls ``send`` to send messages to the page."""
+        """Add a page, and return its session. The drawing thread calls ``send`` to send messages to the page."""
         result = Session(send)
         with self._changed:
             self._sessions.append(result)
@@ -204,14 +207,14 @@ class Studio:
             self._changed.notify()
 
     def _prepare(self) -> None:
-        """Fill the caches with the objects that a page's first picture needs, by rendering a small picture."""
+        """Render a small picture, so that the caches contain what the first picture of a page needs."""
         scene = Scene.of(self._likely_values, self.files)
         view = page_bodies.framed(self._surface(scene), 16, 12)
         image = self._renderer(scene, view, refine=False, report=lambda: None).image()
         encoding.encoded(encoding.displayed(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
-        # Errors of the preparation are ignored here: they occur again for the first page, which then shows them.
+        # Errors are ignored here. They occur again with the first request of a page, and are then sent to it.
         with warnings.catch_warnings(), contextlib.suppress(Exception):
             warnings.simplefilter("ignore")
             self._prepare()
@@ -253,12 +256,13 @@ class Studio:
                     pictures = len(stages_to(request.values["tolerance"]))
                     if session.generation != request.generation:
                         session.generation = request.generation
-                        # If only the probe has moved, the picture is not drawn again, and its refinement continues.
+                        # If only the probe has moved, the picture remains valid: it is not drawn again, and its
+                        # refinement continues.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
-                        # After a movement, refinement starts at once if the preview has the full size. Otherwise a
-                        # preview of the full size precedes it.
+                        # After a movement, the last preview is refined at once if it has the full size. Otherwise, a
+                        # preview of the full size comes first.
                         session.stage = int(len(session.picture[0].mask) == request.values["height"])
                     if session.stage > pictures:
                         continue
@@ -275,13 +279,13 @@ class Studio:
                 self._changed.wait(min(waits, default=None))
 
     def _is_current(self, session: Session, request: PageRequest, index: int) -> bool:
-        """Whether a stage is still needed: its request is the newest, and no other page waits for a preview."""
+        """Whether a stage should be finished: its request is the newest, and no other page waits for a preview."""
         newest = session.request
         if not session.open or newest is None:
             return False
         if index == 0 and request.moving:
-            # A preview during a movement is always finished. If each new request cancelled it, the page would show no
-            # picture until the movement ends.
+            # A preview during a movement is finished even if a newer request has arrived. If each new request cancelled
+            # it, the page would show no picture until the movement ends.
             return not _is_released(session, newest)
         others = [
             other for other in tuple(self._sessions) if other is not session and other.in_flight < _MOST_IN_FLIGHT
@@ -305,9 +309,9 @@ class Studio:
         return progress
 
     def _serve(self, session: Session, request: PageRequest, index: int) -> None:
-        """Draw and send the pictures of a request, starting at a stage.
+        """Draw and send the pictures of a request, starting at the stage with the index ``index``.
 
-        After the last stage, send the directions at the probe and the reflectance map instead.
+        If all pictures were sent, send the directions at the probe and the reflectance map instead.
         """
         progress = self._progress(session, request, index)
         scene = Scene.of(request.values, self.files)
@@ -336,7 +340,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the picture of the next stage, which has been drawn."""
+            """Send the renderer's present picture as that of the next stage."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()
@@ -366,12 +370,13 @@ class Studio:
             session.stage += 1
             session.send(description | result, data)
 
-        # Without an environment, one call draws all remaining stages, because each refines the previous one. With an
-        # environment, each stage is drawn separately, because a larger tolerance requires fewer directions.
+        # Without an environment, one call of the renderer draws all remaining stages, each of which refines the
+        # previous one. With an environment, each stage is a call of its own, because it samples another number of
+        # directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
         renderer.draw(lights, view, progress=progress, previews=previews)
-        # The last stage is always sent. If no pixel was refined, the stages before it were skipped.
+        # The renderer skips intermediate stages if no pixel needs refinement. The last stage is sent in any case.
         session.stage = last
         send()
         if not index:
@@ -400,7 +405,8 @@ class Studio:
     ) -> dict[str, Any]:
         """Return the options of a picture's display transform.
 
-        During a movement (``moving``) and with a locked exposure, the exposure of an earlier picture is used.
+        During a movement (``moving``) and if the user has locked the exposure, the exposure of an earlier picture is
+        used.
         """
         display = request.values["display"]
         if session.exposure is None or not (moving or request.values["lock_exposure"]):
@@ -420,7 +426,7 @@ class Studio:
         return self._caches.height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
 
     def _lights(self, scene: Scene) -> list[Any]:
-        """Return the light and the environment of a scene. An unchanged environment is the same object every time."""
+        """Return the light and the environment of a scene. An unchanged environment is always the same object."""
         lights = [] if scene.light is None else [scene.light.make()]
         if (sky := scene.sky) is None:
             return lights
@@ -452,13 +458,14 @@ class Studio:
         return self._caches.renderers.get_or_make((*key, refine, view.width, view.height), make)
 
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
-        """Make a small renderer, from which renderers of any size are derived.
+        """Make a renderer of small pictures, from which renderers of any picture size are derived.
 
         The disk cache stores its plan, because planning requires seconds.
         """
         report()
         heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading
-        # A plan depends only on the spectra of the lights.
+        # A plan depends on the spectra of the lights and not on their directions. Simple lights are therefore used
+        # here.
         lights = self._lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
@@ -525,7 +532,7 @@ def _message(kind: str, request: PageRequest, **more: Any) -> dict[str, Any]:
 
 
 def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
-    """Whether a request has the same picture as the drawn one; generation, movement and probe do not change it."""
+    """Whether two requests have the same picture: they may differ in generation, movement and probe."""
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
@@ -534,11 +541,11 @@ def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
 def _illuminants(scene: Scene) -> tuple[str, ...]:
     """Return texts that identify the spectra of a scene's lights, including those of an environment and its sun."""
     named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    # The spectra depend on the environment's file. Those of a clear sky do not depend on the position of the sun.
+    # The spectra of an environment depend on its file. Those of a clear sky do not depend on the position of the sun.
     paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
     return named if scene.sky is None else (*named, scene.sky.function, *paths)
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether a movement has just ended: the last picture is a preview of it, and the new request does not move."""
+    """Whether a movement has just ended: the last picture was drawn during it, and the new request has none."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving

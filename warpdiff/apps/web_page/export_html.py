@@ -37,15 +37,17 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
-# Least distance of a light from the centre of the mesh [radii of the mesh]. Limit: the page renders one shadow map per
-# light, which covers only the part of the mesh in front of the light.
+# Smallest distance of a point light from the centre of the mesh [radii of the mesh]. Limit: the shadow map of a light
+# covers only what is in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
-# Texels per side of the page's grid over (u, v), and number of frames that a picture at rest averages. Limits: twice
-# the texels need four times the graphics memory; twice the frames need twice the time.
+# Texels per side of the Cartesian grid over (u, v) to which the page resamples the lobes, and number of frames that it
+# averages while nothing moves. Limits: twice the texels require four times the graphics memory; twice the frames
+# require twice the time.
 _SIZE, _FRAMES = 1024, 1024
-# Number of wavelengths of the zeroth order. Limit: a fragment may use 64 texture fetches, and the lobes use the others.
+# Number of wavelengths over which the zeroth order is summed. Limit: a fragment may use 64 texture fetches, and most of
+# them are for the lobes.
 _WAVELENGTHS = 10
-# Number of samples over w of the zeroth order's power. Limit: the page interpolates linearly between the samples.
+# Number of |w| at which the power of the zeroth order is tabulated. Limit: the page interpolates linearly between them.
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
 _MOST_LIGHTS = 8
@@ -119,7 +121,7 @@ def export_html(
         _check_positions(checked_lights, surface)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
-        # A metal or coated material lets no light through to the pigment below it.
+        # A metal or a coated material transmits no light to the pigment below it.
         pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
@@ -177,7 +179,7 @@ def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | Poi
 
 
 def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
-    """Refuse point lights that are too close to the mesh, or whose power exceeds the range of the page's numbers."""
+    """Raise an error for point lights that are too close to the mesh, or too powerful for the page's numbers."""
     for index, light in enumerate(lights):
         if not isinstance(light, PointLight):
             continue
@@ -231,7 +233,7 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
 
 
 def _defined_normals(surface: Surface) -> Any:
-    """Return the vertex normals, shape (n, 3). A vertex without a defined normal gets that of one of its faces."""
+    """Return vertex normals, shape (n, 3). Where a normal is undefined, that of one of the vertex's faces is used."""
     normals = surface.normals.astype(np.float64)
     corners = surface.vertices[surface.faces].astype(np.float64)
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -314,11 +316,13 @@ def _filled(header: dict[str, Any], arrays: Arrays, title: str) -> str:
     folder = resources.files("warpdiff.apps.web_page").joinpath("page")
     page = folder.joinpath("page.html").read_text(encoding="utf-8")
     background = "#" + "".join(f"{round(255.0 * component):02x}" for component in _BACKGROUND)
-    # The header is JSON inside a script element. "<" is escaped in it: a text with "</script>" would end the element.
+    # The header is JSON inside a script element. Its "<" are escaped, because a text with "</script>" would end the
+    # element.
     filling = {
         "VERSION": metadata.version("warpdiff"), "TITLE": html.escape(title), "BACKGROUND": background,
         "HEADER": json.dumps(header).replace("<", "\\u003c"), "DATA": arrays.base64(),
         **{name: folder.joinpath(file).read_text(encoding="utf-8") for name, file in _PARTS.items()},
     }  # fmt: skip
-    # All placeholders are replaced in one pass, so that placeholders inside of inserted texts are not replaced.
+    # All placeholders are replaced in one pass. A text that looks like a placeholder in an inserted part is therefore
+    # not replaced.
     return re.sub("@([A-Z_]+)@", lambda match: filling[match[1]], page)

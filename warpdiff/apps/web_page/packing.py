@@ -14,12 +14,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest quantised coordinate of positions and of octahedral directions. Limit: 16 bits per coordinate.
+# Largest integer for a coordinate of a position or of an octahedral direction. Limit: 16 bits per coordinate.
 STEPS = 65_535
 
 
 class Arrays:
-    """Named arrays, concatenated to one sequence of bytes.
+    """Arrays of a page with their names, concatenated to one sequence of bytes.
 
     Attributes:
         entries: Table of contents for the page: name, type, shape, first byte and number of bytes of each array.

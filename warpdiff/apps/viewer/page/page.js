@@ -1,5 +1,6 @@
-// Script of the viewer's page. It sends the values of the controls and the camera to the server, with a generation
-// number. The server answers with pictures, which have the same number.
+// Script of the viewer's page. It sends the values of the controls and the camera to the server, together with a
+// generation: a number that increases with every change. The server answers with pictures that have the generation of
+// their request.
 
 const byId = (id) => document.getElementById(id);
 const stage = byId("stage"), canvas = byId("picture"), context = canvas.getContext("2d");
@@ -37,7 +38,7 @@ function changed() {
   requestPicture();
 }
 
-// Requests a picture, with at most one message per display frame of the browser.
+// Requests a picture. Between two display frames of the browser, at most one request is sent.
 let isScheduled = false;
 function requestPicture() {
   if (isScheduled) return;
@@ -87,7 +88,7 @@ function hello(message) {
   document.body.dataset.connected = message.version;
   notice("");
   build(message.controls);
-  // The generations of a restarted server are unrelated to those before, so that its first picture is always shown.
+  // A restarted server does not know the generations of the page before. Its first picture is therefore always shown.
   shown = [-1, -1];
   requestPicture();
 }
@@ -122,7 +123,7 @@ function file(message, data) {
 
 // ---- Pictures ------------------------------------------------------------------------------------------------------
 
-// Generation and stage of the picture on the canvas. A picture that was decoded too late never replaces a newer one.
+// Generation and stage of the picture on the canvas. A picture that arrives later but is older is not shown.
 let shown = [-1, -1];
 const times = [];
 
@@ -134,7 +135,7 @@ async function picture(message, data) {
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   body = message.body;
-  // A picture of an older generation may show another body, whose camera is not used.
+  // A picture of an older generation may show another body. Its camera is not used for the present one.
   if (state.camera === null && message.generation === generation) {
     state.camera = message.camera;
     store();
@@ -186,7 +187,8 @@ async function map(message, data) {
   byId("angles").textContent = [...lines, caption].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = message.generation;
-  // The map follows the last picture. If only the probe has moved, the picture is of an older generation and remains.
+  // A reflectance map completes the answer to a request. If only the probe has moved, the server sends no new picture,
+  // and the one on the canvas counts as that of the new generation.
   canvas.dataset.generation = message.generation;
   if (message.at) probed = message.at;
   place();
@@ -236,7 +238,7 @@ function input(type, properties) {
 
 function set(name, value) {
   state.values[name] = value;
-  // The camera was fitted to the previous body, so that it is reset.
+  // The camera was fitted to the previous body. It is reset, so that the server fits a camera to the new one.
   if (name === "mesh") state.camera = null;
   update();
   changed();
@@ -268,7 +270,7 @@ function number(control) {
   const field = input("number", { id: `set-${control.name}`, min: minimum, max: maximum, step: "any" });
   const slider = input("range", { min: 0, max: 1, step: "any", ariaLabel: control.title });
   field.onchange = () => field.value !== "" && set(control.name, clamp(Number(field.value), minimum, maximum));
-  // The browser sends "input" events while the slider is dragged, and a "change" event at the end.
+  // The browser sends "input" events while the slider is dragged, and one "change" event when the slider is released.
   slider.oninput = () => {
     moving = true;
     set(control.name, rounded(at(Number(slider.value))));
@@ -318,8 +320,8 @@ function toLight() {
   return [Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation), Math.cos(elevation) * Math.cos(azimuth)];
 }
 
-// Radius of the sphere around the target on which the light's handle lies, as a fraction of the picture's half height.
-// The handle of a point light is at the light's position instead.
+// Radius of the sphere around the camera's target on which the handle of a directional light moves, as a fraction of
+// half the picture's height. The handle of a point light is at the position of the light instead.
 const HANDLE = 0.75;
 
 function sphere(view) {
@@ -390,8 +392,8 @@ function drag(event) {
   const x = (event.clientX - box.left - stage.clientWidth / 2) * size;
   const y = (stage.clientHeight / 2 - (event.clientY - box.top)) * size;
   const ray = unit(add(add(scaled(view.right, x), view.top, y), view.back, -1));
-  // The light is moved to the point where the ray of the pointer enters or leaves the sphere of the handle. If the ray
-  // misses the sphere, the light is moved to the nearest point of the sphere's outline.
+  // The pointer's ray intersects the sphere on which the handle moves. The light is moved to the front or the back
+  // intersection. If the ray misses the sphere, the light is moved to the nearest point of the sphere's outline.
   const { centre, radius } = sphere(view), offset = add(view.eye, centre, -1), near = -dot(offset, ray);
   const inside = near * near - dot(offset, offset) + radius ** 2;
   const wasOutside = handle.outside;
@@ -416,7 +418,7 @@ byId("light").onpointerdown = (event) => {
 byId("light").onpointermove = (event) => event.target.hasPointerCapture(event.pointerId) && drag(event);
 byId("light").onpointerup = byId("light").onpointercancel = rest;
 
-// A mouse or one finger orbits or pans the camera. Two fingers pan and zoom.
+// One finger or the mouse rotates the camera around its target, or pans it. Two fingers pan and zoom.
 const pointers = new Map();
 let walked = 0;
 
@@ -444,7 +446,7 @@ canvas.onpointermove = (event) => {
   pointers.set(event.pointerId, [event.clientX, event.clientY]);
 };
 canvas.onpointerup = canvas.onpointercancel = (event) => {
-  // A click without a movement sets the probe, the point whose directions are shown.
+  // A click without a movement sets the probe: the point on the body at which the page shows the local directions.
   if (pointers.delete(event.pointerId) && walked < 3 && event.type === "pointerup") {
     const box = stage.getBoundingClientRect();
     const at = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];

@@ -1,6 +1,6 @@
-// Display transform, from the sum of frames in XYZ to the canvas. The chroma is compressed at constant lightness and
-// hue of OKLab. ACES 2.0 is interpolated in a table, within tetrahedra. The result is mixed with the background in
-// linear light. The Python module image/display_transform computes the same.
+// Display transform, from the sum of frames in XYZ to the canvas. First, the chroma of each colour is compressed at
+// constant lightness and hue of OKLab. Then ACES 2.0 is interpolated in a table, within tetrahedra. The result is mixed
+// with the background in linear light. The Python module image/display_transform computes the same.
 
 uniform highp sampler2D sum;
 uniform highp sampler3D table;
@@ -38,8 +38,8 @@ vec3 aces(vec3 xyz) {
     float last = float(textureSize(table, 0).x - 1);
     vec3 place = log(1.0 + rgb / toe) / log(1.0 + white / toe) * last;
     vec3 first = min(floor(place), last - 1.0), t = place - first;
-    // Tetrahedral interpolation: the path from the cell's first corner to its last one follows the axes, in the order
-    // of decreasing fractions.
+    // Tetrahedral interpolation in a cell of the table. Four corners are used: the path from the first corner to the
+    // opposite one follows the axes, in the order of decreasing fractions.
     int first_ = t.r >= t.g ? (t.r >= t.b ? 0 : 2) : (t.g >= t.b ? 1 : 2);
     int last_ = t.b <= t.g ? (t.b <= t.r ? 2 : 0) : (t.g <= t.r ? 1 : 0);
     float most = max(max(t.r, t.g), t.b), least = min(min(t.r, t.g), t.b), middle = t.r + t.g + t.b - most - least;

@@ -1,4 +1,4 @@
-// Script of the exported page. It renders a mesh with baked lobes. The user rotates the mesh and the lights.
+// Script of the exported page. It renders a mesh with baked lobes. The user can rotate the mesh and the lights.
 //
 // The data of the page are in two elements. "header" contains JSON. "data" contains the arrays, concatenated, deflated
 // and encoded in base64. Other scripts can control the page through `window.warpdiff`, at the end of this file.
@@ -8,12 +8,12 @@ const canvas = document.getElementById("canvas");
 // Number of frames that a picture at rest averages. Each of these frames is blurred by only a fraction of the pixel
 // filter's standard deviation; the jittered positions of the frames make up the rest.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
-// Time for the frames between two updates of a picture at rest [ms].
+// Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
-// Pixel filter [pixels]: width parameter of the Gaussian, distance at which it is truncated, and standard deviation of
-// the truncated Gaussian.
+// Pixel filter [pixels]: parameter σ of the Gaussian, distance at which it is truncated, and standard deviation of the
+// truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
-// Texels per side of the shadow map, and number of frames that share one shadow map if there is a single light.
+// Texels per side of a shadow map. With a single light, this many frames share one shadow map.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
@@ -148,16 +148,18 @@ function bind(shader, name, at, target, what) {
 
 // ----------------------------------------------------------------------------------------------- table of baked lobes
 
-// The coefficients of the polar grid are resampled to a Cartesian grid with mip levels. The grid has one layer per
-// colour channel and per group of four functions of w. Coefficients are divided by `lobesUnit` to fit half floats.
+// The coefficients of the lobes are resampled from their polar grid to a Cartesian grid with mip levels. The grid has
+// one layer per colour channel and per group of four functions of w. Coefficients are divided by `lobesUnit`, so that
+// they fit into half floats.
 const lobes = header.lobes, groups = Math.ceil(lobes.functions / 4), layers = 3 * groups;
 const SIZE = Math.min(Number(new URLSearchParams(location.search).get("size")) || lobes.size,
     gl.getParameter(gl.MAX_TEXTURE_SIZE));
 const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
-// Limit on the texture fetches of a fragment. They are TAPS fetches per layer, one per group of functions, one per
-// wavelength of the zeroth order, and one each for shadow and base colour. DEVIATIONS is the extent of the taps to
-// either side of a footprint's centre, and STEP their distance, both in standard deviations.
+// Limit on the texture fetches of a fragment. Each tap along a footprint fetches every layer. Further fetches are one
+// per group of functions of w, one per wavelength of the zeroth order, and one each for shadow and base colour. TAPS is
+// the largest number of taps that these leave. DEVIATIONS is the extent of the taps to either side of a footprint's
+// centre, and STEP their distance, both in standard deviations.
 const MOST_FETCHES = 64;
 const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
@@ -296,7 +298,8 @@ const start = () => structuredClone({ view: header.view, lights: header.lights }
 let { view, lights } = start();
 let exposure = header.exposure, stops = 0;
 const radius = header.radius, centre = header.centre;
-// Returns a point in mesh coordinates, in which the mesh lies in the unit sphere, from its world coordinates.
+// Returns a point in mesh coordinates, given its world coordinates. In mesh coordinates, the mesh lies in the unit
+// sphere.
 const local = (point) => sub(point, centre).map((x) => x / radius);
 
 function camera(width, height, shift) {
@@ -315,9 +318,9 @@ function camera(width, height, shift) {
 // Returns the position of a point light, or the direction to a directional light, in mesh coordinates.
 const placed = (light) => (light.position ? local(light.position) : unit(light.to_light));
 
-// Returns the projection of a light's shadow map, which covers the visible part of the mesh. The projection is
-// orthographic for a directional light, and perspective from the light's position for a point light. `texel` is the
-// width of a texel, for a point light at the distance 1.
+// Returns the projection of a light's shadow map. The map covers the part of the mesh that the camera sees. The
+// projection is orthographic for a directional light, and perspective from the light's position for a point light.
+// `texel` is the width of a texel; for a point light, that at the distance 1.
 function lightCamera(light, matrix, positions) {
     const place = placed(light), away = light.position ? Math.hypot(...place) : 0;
     const back = unit(place), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
@@ -342,8 +345,8 @@ function lightCamera(light, matrix, positions) {
         ];
         return { rows, texel: size / SHADOW_SIZE };
     }
-    // The last row is the distance along the light's axis. The projection is off-axis, because the centre of the
-    // visible part need not lie on the axis.
+    // The last row yields the distance along the light's axis. The frustum is not symmetric about this axis, because
+    // the centre of the visible part of the mesh need not lie on the axis.
     const depth = [...back.map((r) => -r), away], [near, end] = [Math.max(away - 1.02, 1e-3), away + 1.02];
     const beside = (axis, middle) => depth.map((d, c) => 2 / size * ((c < 3 ? axis[c] : 0) - middle * d));
     const rows = [
@@ -380,7 +383,7 @@ function quantile(p) {
 
 let scene = null, sums = null, added = 0, changes = 0;
 
-// Makes the render targets: a frame under one light, its depth, and the sum over all lights and frames.
+// Makes the render targets: a frame under one light, the depth of the frame, and the sum over all lights and frames.
 function makeSums(width, height) {
     if (sums) {
         for (const texture of [sums.colour, sums.frame]) gl.deleteTexture(texture);
@@ -414,8 +417,8 @@ function makeShadows() {
     return { map, target };
 }
 
-// Draws the mesh. Back faces of a closed mesh are not drawn to the picture: along edges they would appear through gaps,
-// because the rasterizer rounds vertex positions, and such pixels would sparkle.
+// Draws the mesh. For the picture (`seen`), back faces of a closed mesh are left out: the rasterizer rounds vertex
+// positions, so that back faces would show through gaps along edges, and such pixels would sparkle.
 function drawMesh(seen = true) {
     if (header.closed && seen) gl.enable(gl.CULL_FACE);
     else gl.disable(gl.CULL_FACE);
@@ -423,14 +426,15 @@ function drawMesh(seen = true) {
     gl.drawElements(gl.TRIANGLES, scene.mesh.indices, gl.UNSIGNED_INT, 0);
 }
 
-// Adds a frame to the sum of frames; the first frame clears the sum. During a movement, each frame is blurred by the
-// whole pixel filter.
+// Adds a frame to the sum of frames. The first frame clears the sum. During a movement, a picture is a single frame,
+// which is blurred by the whole pixel filter.
 function addFrame(moving) {
     const { width, height } = sums, shift = moving ? [0, 0] : jitter(added);
     const seen = camera(width, height, shift);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.target);
     if (added === 0) gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    // The first pass writes only depth, so that each pixel is shaded only once per light.
+    // The first pass draws only the depth of the frame. In the later passes, each pixel is then shaded only once per
+    // light.
     gl.enable(gl.DEPTH_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.frameTarget);
     gl.viewport(0, 0, width, height);
@@ -452,12 +456,13 @@ function addFrame(moving) {
         gl.uniformMatrix4fv(uniforms.projection, false, seen.matrix);
         gl.uniform3fv(uniforms.eye, seen.eye);
         gl.uniform4fv(uniforms.place, [...placed(light), light.position ? 1 : 0]);
-        // The shader measures distances in mesh radii, so that the power of a point light is scaled.
+        // The shader measures distances in radii of the mesh. The power of a point light is converted accordingly.
         gl.uniform1f(uniforms.power, light.position ? light.power / radius ** 2 : light.power);
         gl.uniform1f(uniforms.lightDeviation, light.deviation ?? 0);
         gl.uniform1f(uniforms.coverage, index === 0 ? 1 : 0);
         gl.uniform1f(uniforms.deviation, (moving ? 1 : OWN_SHARE) * DEVIATION);
-        // Without movement, frames use the finest mip level of the texture. Their average filters the texture.
+        // At rest, frames use the finest mip level of the texture, because the average over frames already filters the
+        // texture.
         gl.uniform1f(uniforms.textureBias, moving ? 0 : -16);
         bind(scene.surface, "lobes", 0, gl.TEXTURE_2D_ARRAY, scene.grid);
         bind(scene.surface, "functionsOfW", 1, gl.TEXTURE_2D, scene.functions);
@@ -483,12 +488,13 @@ function addFrame(moving) {
     ++added;
 }
 
-// Returns the shadow map of a light. With a single light, several frames share one shadow map, because rendering it
+// Returns the shadow map of a light. With a single light, several frames share a shadow map, because drawing the map
 // requires as much time as shading a frame.
 function shadowOf(light, matrix, aside) {
     if (lights.length === 1 && added % FRAMES_OF_SHADOW !== 0) return scene.shadows.last;
     const { rows, texel } = lightCamera(light, matrix, scene.mesh.positions);
-    // Each shadow map is shifted by a part of a texel, so that the average over frames hides the edges of texels.
+    // The shadow map of each frame is shifted by a part of a texel. The average over frames then hides the edges of
+    // texels.
     for (const axis of [0, 1]) rows[axis] = add(rows[axis], rows[3], (aside[axis] - 0.5) * 4 / SHADOW_SIZE);
     const result = columns(rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, scene.shadows.target);
@@ -516,7 +522,7 @@ function show() {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
-// Returns the mean XYZ and coverage of the pixels, four numbers per pixel, bottom row first.
+// Returns the mean XYZ and coverage of the pixels as four numbers per pixel. The bottom row comes first.
 function colours() {
     const result = new Float32Array(4 * sums.width * sums.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.target);
@@ -571,14 +577,14 @@ function tick() {
     scheduled = false;
     if (fixedSize) return;
     const moving = performance.now() - lastChange < 200, begin = performance.now();
-    // During a movement, the resolution is halved if a frame requires more than 60 ms.
+    // During a movement, the resolution is halved if the last frames required more than 60 ms each.
     fit(moving && cost > 60 ? 0.5 : 1);
     if (moving) added = 0;
     else if (resting !== changes) {
         resting = changes;
         added = 0;
     }
-    // At rest, as many frames are added as fit between two updates of the display.
+    // At rest, as many frames are added as can be rendered between two updates of the display.
     const before = added;
     do addFrame(moving); while (!moving && added < FRAMES_AT_REST && added - before < atOnce);
     if (exposure === null) exposure = metered();
@@ -626,7 +632,7 @@ function zoom(factor) {
     changed();
 }
 
-// Rotates all lights together, such that the first one gets the direction `towards`.
+// Rotates all lights together, so that the first one gets the direction `towards`.
 function turnLights(towards) {
     const from = unit(placed(lights[0])), axis = cross(from, towards), sine = Math.hypot(...axis);
     if (sine < 1e-9) return;
@@ -735,8 +741,9 @@ async function begin() {
 
 // Interface for other scripts. After `await warpdiff.ready`, call
 // `warpdiff.render({ width, height, view, lights, exposure, frames, more })`; all fields are optional. It returns
-// { width, height, xyz }. `xyz` has the mean XYZ and coverage over `frames` frames, bottom row first. The canvas shows
-// the picture until a user changes the view. With `more`, the frames are added to those of the last call.
+// { width, height, xyz }. `xyz` has the mean XYZ and the coverage over `frames` frames, four numbers per pixel, bottom
+// row first. The canvas shows the picture until a user changes the view. With `more`, the frames are added to those of
+// the last call.
 window.warpdiff = {
     ready: begin(),
     header,

@@ -1,6 +1,6 @@
-// Resamples one colour channel of the coefficients from the polar grid to the Cartesian grid, for four functions of w.
-// Along each of four rings, a cubic spline interpolates over the azimuth. Across the rings, the cubic polynomial
-// through the four values interpolates.
+// Resamples the spline coefficients of the lobes from the polar grid to the Cartesian grid, for one colour channel and
+// four functions of w. A cubic spline interpolates over the azimuth along each of four rings. A cubic polynomial
+// through the four results interpolates across the rings.
 
 uniform highp sampler2DArray polar;  // coefficients of the polar grid's nodes, one layer per colour channel and group of four functions
 uniform int layer;

@@ -1,5 +1,5 @@
-// Sharpens a layer to compensate the blur of linear interpolation between texels. The variance of this blur is a sixth
-// of the squared texel distance along each axis.
+// Sharpens one layer of the Cartesian grid. This compensates the blur that linear interpolation between texels adds in
+// look-ups; the variance of that blur is a sixth of the squared texel distance along each axis.
 
 uniform highp sampler2D frame;
 out vec4 sharpened;

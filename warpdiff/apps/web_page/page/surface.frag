@@ -26,7 +26,7 @@ uniform mat3 rgbToXyz;
 uniform highp sampler2DArray lobes;
 uniform highp sampler2D functionsOfW, zerothOrder;
 uniform float unit;
-uniform float variances[WAVELENGTHS];  // variance of the mean plane's lobe in (u, v), per wavelength
+uniform float variances[WAVELENGTHS];  // variance of the zeroth order's lobe in (u, v), per wavelength
 uniform vec3 weights[WAVELENGTHS];
 
 const float LEAST_COSINE = 0.01, LARGEST_W = 2.0, SPACING = 4.0 / SIZE;
@@ -35,7 +35,7 @@ float schlick(float cosine) {
     return normalReflectance + (1.0 - normalReflectance) * pow(1.0 - min(cosine, 1.0), 5.0);
 }
 
-// Returns the factor between the lobes and the reflected light: geometry factor, masking, and the reflectance by
+// Returns the factor by which the colours of the lobes are multiplied: geometry factor, masking, and reflectance by
 // Schlick's approximation relative to normal incidence.
 float gain(float cosLight, float cosView, vec3 sum) {
     float least = min(cosLight, cosView);
@@ -45,7 +45,7 @@ float gain(float cosLight, float cosView, vec3 sum) {
     return schlick(cosHalf) / normalReflectance * overlap * overlap * mask / (total * total * cosView);
 }
 
-// Returns the colour of the mean plane's lobe, a Gaussian per wavelength, averaged over a footprint. `covariance` has
+// Returns the colour of the zeroth order, a Gaussian lobe per wavelength, averaged over a footprint. `covariance` has
 // the elements xx, xy and yy of the footprint's covariance in (u, v).
 vec3 zeroth(vec2 uv, float w, vec3 covariance) {
     vec3 result = vec3(0.0);
@@ -62,23 +62,24 @@ vec3 zeroth(vec2 uv, float w, vec3 covariance) {
     return result;
 }
 
-// Returns the colour of all other lobes, averaged over a footprint. The short axis of the footprint selects the mip
-// level, and several taps along the long axis are added.
+// Returns the colour of all orders except the zeroth, averaged over a footprint. The short axis of the footprint
+// selects the mip level, and several taps along the long axis are added.
 vec3 others(vec2 uv, float w, vec3 covariance) {
     float middle = 0.5 * (covariance.x + covariance.z), half_ = 0.5 * (covariance.x - covariance.z);
     float root = sqrt(half_ * half_ + covariance.y * covariance.y);
     float most2 = middle + root, least2 = max(middle - root, 0.0);
     vec2 axis = abs(half_) + abs(covariance.y) < 1e-20 ? vec2(1.0, 0.0) : normalize(
         half_ > 0.0 ? vec2(half_ + root, covariance.y) : vec2(covariance.y, root - half_));
-    // Mip level n blurs with a variance of (4ⁿ − 1)/4 squared texels. The blur is at least such that TAPS taps, STEP
-    // standard deviations of the blur apart, cover the long axis.
+    // Mip level n blurs by a variance of (4ⁿ − 1)/4 squared texels. If the footprint is long, a coarser level is
+    // selected than its short axis requires: at most TAPS taps, STEP standard deviations of the blur apart, must cover
+    // the long axis.
     float own2 = 0.25 * SPACING * SPACING, blur2 = max(max(least2, most2 / (1.0 + REACH * REACH)), 1e-3 * own2);
     float level = floor(0.5 * log2(blur2 / own2 + 1.0)), scale = exp2(2.0 * level);
     float lod = level + (blur2 / own2 + 1.0 - scale) / (3.0 * scale);
     float along = sqrt(max(most2 - blur2, 0.0)), ratio = along / sqrt(blur2);
     int taps = ratio < 0.1 ? 1 : min(1 + int(ceil(2.0 * DEVIATIONS * ratio / STEP)), TAPS);
-    // The distance of the taps is scaled such that their variance equals the remaining variance along the long axis,
-    // for any number of taps.
+    // The taps have the variance that the long axis lacks after the blur of the mip level. Their distance is scaled
+    // such that this holds for any number of taps.
     float apart = taps > 1 ? 2.0 * DEVIATIONS / float(taps - 1) : 0.0, centre = 0.5 * float(taps - 1), variance = 0.0;
     float whole = 0.0;
     for (int k = 0; k < taps; ++k) {
@@ -103,8 +104,8 @@ vec3 others(vec2 uv, float w, vec3 covariance) {
     return max(result, 0.0) * (unit * w * w / whole);
 }
 
-// Returns the derivative of a unit direction to a near point, given the derivative of the position. `perDistance` is 1
-// divided by the distance of the point, or 0 for an infinite distance.
+// Returns the derivative of the unit direction to a point, given the derivative of the surface position. `perDistance`
+// is 1 divided by the distance of the point, or 0 for an infinite distance.
 vec3 turns(vec3 position, vec3 direction, float perDistance) {
     return (dot(position, direction) * direction - position) * perDistance;
 }
@@ -115,7 +116,7 @@ vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, 
              float clamped, float tilt, float perTangent, vec3 toLight, float perLight) {
     vec3 turn = turns(position, toView, 1.0 / distance) * frame, view = toView * frame;
     vec2 ofNormal = perNormal * (normal * frame).xy;
-    // A normal that was rotated towards the viewer has a constant angle with the view direction.
+    // A normal that was turned towards the viewer, because it faced away, has a constant angle with the view direction.
     ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
     float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
     return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy
@@ -152,7 +153,8 @@ void main() {
     float factor = power * falloff * gain(lightLocal.z, sum.z - lightLocal.z, sum);
     vec4 base = texture(baseColour, vTextureUv, textureBias);
     if (hasShadows && factor > 0.0) {
-        // The look-up position is lifted above the surface by about a texel of the shadow map, against self-shadowing.
+        // The position is moved away from the surface by about one texel of the shadow map before the look-up. Without
+        // this, the surface would shadow itself.
         float slant = clamp(dot(geometric, toLight), 0.0, 1.0);
         vec3 from = vPosition + shadowLift * (place.w > 0.0 ? sqrt(near2) : 1.0) * (geometric * sqrt(1.0 - slant * slant) + toLight * 0.5);
         vec4 at = lightProjection * vec4(from, 1.0);
@@ -162,7 +164,8 @@ void main() {
     if (factor <= 0.0) return;
     vec3 covariance = vec3(right.x * right.x + down.x * down.x, right.x * right.y + down.x * down.y,
         right.y * right.y + down.y * down.y);
-    // The angular size of the light adds variance in the two directions perpendicular to the light's direction.
+    // The angular size of a disc light adds variance to the footprint in the two directions perpendicular to the
+    // light's direction.
     covariance += lightDeviation * lightDeviation
         * vec3(1.0 - lightLocal.x * lightLocal.x, -lightLocal.x * lightLocal.y, 1.0 - lightLocal.y * lightLocal.y);
     vec3 xyz = factor * (others(uv, sum.z, covariance) + zeroth(uv, sum.z, covariance));

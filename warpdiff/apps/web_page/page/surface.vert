@@ -1,4 +1,5 @@
-// Vertex shader of all passes that draw the mesh. With SHADED it also passes on the attributes for shading.
+// Vertex shader of all passes that draw the mesh. If SHADED is defined, it also outputs the attributes that shading
+// requires.
 
 in vec3 position;
 #ifdef SHADED
