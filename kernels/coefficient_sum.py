@@ -217,7 +217,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
         # The Gaussian is not evaluated at each coefficient. From one coefficient to the next, it is multiplied by a
-        # factor, and that factor by a constant. The factors do not overflow: they are at most exp(exponent).
+        # factor, and that factor by a constant. The first factor is computed only if a second coefficient exists. It is
+        # then at most exp(exponent), and does not overflow.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):

@@ -229,7 +229,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the mean XYZ over footprints and the source, of scattering vectors from ``begin`` to ``end``."""
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, averaged over footprints and the source."""
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
