@@ -31,7 +31,7 @@ class Sky:
 
 @wp.struct
 class SkyDistribution:
-    """Distributions of directions: over (u, v), as rings with azimuth samples, and over blocks of the sky."""
+    """The two distributions of a sky's samples: over (u, v), on rings of azimuth samples; over blocks of the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rings
     starts: wp.array(dtype=wp.int32)  # first azimuth sample of each ring; the last entry is the total number

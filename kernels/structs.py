@@ -44,7 +44,7 @@ class Cells:
 
 @wp.struct
 class SurfaceArrays:
-    """Mesh with the attributes that are interpolated: the fields of ``warpdiff.scene.mesh_import.Surface``."""
+    """Mesh in the units of the kernels, with its vertices' attributes, as in ``warpdiff.scene.mesh_import.Surface``."""
 
     mesh_id: wp.uint64
     positions: wp.array(dtype=wp.vec3f)

@@ -242,7 +242,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of three colours in a row; 0 if one of them is missing."""
+    """Return the squared second difference of three neighbouring colours; 0 if ``before`` or ``after`` is missing."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 

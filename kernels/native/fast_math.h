@@ -38,7 +38,7 @@ struct LogPolar {
     float turns; // angle [turns], from 0 to 1
 };
 
-// Convert a point (u, v) to logarithmic polar coordinates. Radii below `least` are replaced by `least`.
+// Convert a point (u, v) to its angle and the logarithm of its radius. Radii below `least` are replaced by `least`.
 WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
 {
     // The squared radius is a power of two times m, and m lies between √½ and √2. The logarithm of m is a series in (m

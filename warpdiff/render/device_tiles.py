@@ -25,7 +25,7 @@ class DeviceTiles:
     """Tile executor whose launches can be recorded. A launch does nothing if no tile is left.
 
     Attributes:
-        floor: Least luminance that errors are relative to, (1,).
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
         marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
             else 0.
     """

@@ -195,7 +195,7 @@ class TileExecutor(Protocol):
     """Interface of executors, which shade the tiles that :class:`RefinementLoop` requests.
 
     Attributes:
-        floor: Least luminance that errors are relative to, (1,).
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
         marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
             else 0.
     """

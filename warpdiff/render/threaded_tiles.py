@@ -86,7 +86,7 @@ class ThreadedTiles:
     Attributes:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
             numbers.
-        floor: Least luminance that errors are relative to, (1,).
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
         marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
             else 0.
     """
