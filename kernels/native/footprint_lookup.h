@@ -3,7 +3,8 @@
 // A footprint is usually one part. It is split into several parts if the polar angle of (u, v) changes much within it.
 // The colour of a part is a weighted sum over rings. Rings are processed in segments, each within one octave. The
 // colour at a ring is a weighted sum over azimuths, on the widest mip level whose blur does not exceed that of the
-// footprint.
+// footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that compilers
+// vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
 
 #pragma once
 
