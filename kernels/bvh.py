@@ -56,9 +56,9 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
 
 @wp.kernel
 def trace_bvh(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
     """Find the first face that each ray hits, by the hierarchy of bounding boxes.

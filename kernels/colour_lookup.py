@@ -137,10 +137,10 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     # Kernels have a second thread index, which is always 0, to avoid a second compiled variant: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
-        # In:
+        # Inputs of the kernel:
         values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
         run: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
@@ -167,9 +167,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
-        # In:
+        # Inputs of the kernel:
         table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute the values of a mip level at its azimuths: a Gaussian blur of the coefficients of a finer level.
@@ -233,11 +233,11 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
-        # In:
+        # Inputs of the kernel:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, run: wp.int32,
         first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times their gains; ``footprints`` may be empty.

@@ -112,10 +112,10 @@ def rasterize_run(
 
 @wp.kernel
 def rasterize(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
     """Find the first face that the ray of each pixel or cell hits, by rasterization. Used on the CPU only.
@@ -174,7 +174,7 @@ def intersect_known_faces_run(
 
 @wp.kernel
 def intersect_known_faces(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
     """Compute the hits of rays on their nearest faces, which ``rasterize`` or ``trace_bvh`` has found.
@@ -198,9 +198,9 @@ def intersect_known_faces(
 
 @wp.kernel
 def place_samples(
-    # In:
+    # Inputs of the kernel:
     sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
     """Compute the position of one of several rays in each pixel, by ``pixel_offset``."""
@@ -210,7 +210,7 @@ def place_samples(
 
 @wp.kernel
 def make_shading_frames(
-    # In:
+    # Inputs of the kernel:
     surface: SurfaceArrays, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.

@@ -92,10 +92,10 @@ def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
 
 @wp.kernel
 def project(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid, positions: wp.array(dtype=wp.vec3f), faces: wp.array2d(dtype=wp.int32), first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """Project the corners of faces, and count the cells that the bounding box of each face overlaps.
@@ -120,11 +120,11 @@ def project(
 
 @wp.kernel
 def count(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     counts_out: wp.array(dtype=wp.int32),
 ):
     """Count the faces that each cell's list will have."""
@@ -138,11 +138,11 @@ def count(
 
 @wp.kernel
 def fill(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     ends_out: wp.array(dtype=wp.int32),
 ):
     """Fill the cells' lists. The order in a list depends on the threads, but occlusion does not depend on this order.
@@ -176,10 +176,10 @@ def look_up(
 
 @wp.kernel
 def trace_shadow_rays(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec4f),
     pixels: Pixels, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.
