@@ -69,7 +69,7 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// Replace `widest` by the widest mip level of an octave that suits a variance along the ring. Rings are processed
+// Replace `widest` by the widest mip level in `octave` that suits a variance along the ring. Rings are processed
 // inwards. In a new octave the blur of a level may be twice as large, and the search starts one level below the present
 // one.
 template <class Table>

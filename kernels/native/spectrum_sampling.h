@@ -35,7 +35,8 @@ struct Neighbours {
     }
 };
 
-// Compute exp(−scale · x²) at TAPS distances x = `from` + i − `beside`.
+// Compute exp(−scale · x²) at TAPS distances x. They are consecutive integers from `from` on, minus the fractional part
+// of a position.
 WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
 {
     for (int i = 0; i < TAPS; ++i) {

@@ -40,7 +40,7 @@ class SurfaceOptics:
         coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
         normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces; with None in place of a material, R is Schlick's with ``normal_reflectance``.
+        materials: Materials of the faces; for None, R is Schlick's with ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
         energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None leaves the energy
             of Stam's model unchanged.

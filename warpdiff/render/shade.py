@@ -161,8 +161,7 @@ class PictureInputs:
             )
         check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for these spectra. The three smooth spectra of a sky are left out, because they
-        # require no trial.
+        # The planner tries tables for these spectra. The three smooth spectra of a sky require no trial.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
