@@ -81,7 +81,7 @@ class Lobe:
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
             (2, 3), world frame; None is a single direction.
         position: Position of a point light, world frame. The power falls off with the square of the distance, and
-            ``to_light`` is ignored. None is infinitely far away.
+            ``to_light`` is ignored. None for a light that is infinitely far away.
     """
 
     to_light: tuple[float, float, float]
@@ -120,7 +120,7 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class DiscPart(LobeSet):
-    """Disc light whose directions are sampled. Its only lobe approximates the disc with one ray per pixel."""
+    """Disc light whose directions are sampled. Before pixels are subdivided, a single lobe approximates the disc."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -63,10 +63,7 @@ class DiscPass(LobePass):
         return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no occluder grid, as a grid serves one direction.
-
-        Each ray draws its own, and uses the hierarchy of faces.
-        """
+        """Make no occluder grid. A grid serves only one direction, but each ray draws its own."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:

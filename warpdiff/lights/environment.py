@@ -99,7 +99,8 @@ class Environment(Checked, Light):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # Copies and pickles do not include the cache: its parts have arrays on a device, which belong to this process.
+        # The cache ``_parts`` is neither copied nor pickled: its parts have arrays on a device, which belong to this
+        # process.
         return {name: value for name, value in vars(self).items() if name != "_parts"}
 
     @classmethod
@@ -235,7 +236,7 @@ class Environment(Checked, Light):
 
     @forks.cached_property
     def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Radiances on the latitude-longitude grid, and suns.
+        """Radiances of the sky on its latitude-longitude grid, without suns, and the suns.
 
         Neither depends on the window, the scale or the rotation.
         """

@@ -40,7 +40,7 @@ class SurfaceOptics:
         coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
         normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces; for None, R is Schlick's with ``normal_reflectance``.
+        materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
         energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None leaves the energy
             of Stam's model unchanged.
@@ -320,7 +320,7 @@ class LightPass(ABC):
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return marks of the hits that the last lobe does not reach; empty, which marks no hit, without shadows."""
+        """Return the array that marks hits in the shadow of the last lobe; it is empty if nothing casts shadows."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:

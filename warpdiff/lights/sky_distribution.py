@@ -35,9 +35,8 @@ _WS = (0.8, 1.3, 1.8)
 # Standard deviation of the footprint of the look-up of one azimuth sample, relative to the distance of samples. Choice:
 # wider look-ups blur the distribution.
 _WIDTH = 0.4
-# Share of the samples that do not follow the colours: within a ring they are distributed evenly over its azimuths, and
-# over the rings evenly, too. Reason: points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at
-# others.
+# Share of a ring's samples that are distributed evenly over its azimuths, and share of all samples that are distributed
+# evenly over the rings. Reason: points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at others.
 _EVEN_SHARE = 0.05
 # Number of cells of the sky's grid along a side of a block, for which one density is stored. Limit: smaller blocks use
 # more memory and time to search.
@@ -74,7 +73,7 @@ def distribution_for(
     """Return the struct ``SkyDistribution`` of a look-up and a sky; the look-up caches the surface's part.
 
     Args:
-        lookup: The look-up.
+        lookup: Look-up of the surface's colours.
         illuminated: Illuminated materials by material and spectrum.
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.

@@ -74,7 +74,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """Return a sky on the grid without its suns, and the suns, which are narrower than a cell of the grid can show."""
+    """Return a sky on the grid without its suns, and the suns, which are too small for the cells of the grid."""
     grid = _on_grid(radiance)
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []

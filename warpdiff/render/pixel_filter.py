@@ -107,7 +107,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # Level 0 has no cells. Its row of ones only keeps the level as the index of a row.
+    # Level 0 has no cells. Its row of ones is not used, but the index of a row is then its level.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 

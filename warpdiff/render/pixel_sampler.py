@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Limits of the rays whose directions are measured to choose a plan; time is proportional to them. If pixels show
 # points, at most ``_SAMPLES_MEASURED`` rays per pixel are measured. If pixels show means over footprints, about
-# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. The latter are spread
+# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. These rays are spread
 # over the pixel, because cells have directions that pixel centres do not have.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 

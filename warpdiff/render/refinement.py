@@ -249,8 +249,8 @@ class RefinementLoop:
         """Refine a light: shade the base level, select the level of each tile, and shade those levels.
 
         The light is first refined to the larger tolerance of each preview, and then the preview's callable is called.
-        Previews do not change the final picture, because each refinement begins again from one ray per pixel. Only the
-        cells of a tile at a level are not shaded again.
+        Previews do not change the final picture, because each refinement begins again from one ray per pixel. Cells
+        that were shaded for an earlier tolerance are reused.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]

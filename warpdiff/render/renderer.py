@@ -87,7 +87,7 @@ class Renderer:
         directions of later pictures are unknown. The method ``"direct"`` is only for single pictures.
 
         Args:
-            mesh: Mesh, texture coordinates included: see :func:`warpdiff.shade`.
+            mesh: Mesh with texture coordinates or tangents: see :func:`warpdiff.shade`.
             heightfield: Height field, whose x axis lies along the tangents of the mesh.
             lights: Lights of the first picture.
             view: Camera of the first picture.
