@@ -332,8 +332,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # Viewed from the surface at an angle, a source appears narrower along its tangent. Coherence then extends
-            # farther along the tangent, which increases the bandwidth.
+            # For light at the angle θ from the normal, the spread of (u, v) along the tangential direction of the light
+            # is smaller by cos θ. Coherence then extends farther in this direction, which increases the bandwidth.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:

@@ -9,8 +9,8 @@ computed in advance for each function. A look-up interpolates between rings and 
 functions at w.
 
 A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
-at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. Blur in ratio is a sum over
-more rings at look-up. A source has the same effect on the lines of an endless surface.
+at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. A look-up blurs in ratio by
+adding more rings. The lines of an endless surface are blurred by a source in the same way.
 """
 
 import functools

@@ -10,7 +10,7 @@ from warpdiff.kernels.thresholds import PERCENTILE
 # Standard deviation of the pixel filter, a Gaussian, and its truncation along each axis [pixels]. Choices: with twice
 # the deviation, pictures are blurred; with twice the truncation, a cell would contribute to more than nine pixels.
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# Integrals of the pixel filter over the previous pixel, its own pixel and the next pixel of a row. Derived from
+# Integrals of a pixel's filter over the previous pixel, the pixel itself and the next pixel of a row. Derived from
 # FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)

@@ -7,9 +7,9 @@ ordering of pixels, 2020). The scrambling is Burley's (Practical hash-based Owen
 
 import warp as wp
 
-# Seeds of the hashes that scramble the sequence. The first two are for the order of samples: of the directions to the
-# light, and of the points of the pixel filter. The next two are for the coordinates of the former, the last two for
-# those of the latter.
+# Seeds of the hashes that scramble the sequence. ``ORDER_SEED`` and ``ORDER_SEED_OF_FILTER`` are for the order of the
+# samples, the others for their coordinates. Seeds whose names contain FILTER are for points of the pixel filter, the
+# others for directions to the light.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))

@@ -186,7 +186,7 @@ def mirror_deflections(
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors for light from the mirror direction, and count hits; footprints are computed there.
+    """Compute scattering vectors for light from the mirror direction, from which footprints follow, and count hits.
 
     Directions to the light are not drawn yet. Gains are 1 at all hits, because a sky illuminates every point.
     """

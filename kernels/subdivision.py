@@ -6,8 +6,8 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided because of their error. ``SHARED`` pixels use the cells of their
-# neighbours. A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are subdivided. ``SHARED`` pixels use the cells of their neighbours. A pixel with
+# the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 # Bits for the cells of a tile, as in kernels/native/cell_splats.h: some cell is illuminated; some cell hits the mesh

@@ -49,7 +49,7 @@ class KernelCall:
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
-        """Launch the kernel over elements, with one thread per index; used on a GPU."""
+        """Launch the kernel over elements, with one thread per index: on a GPU, or while a graph is recorded."""
         inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 

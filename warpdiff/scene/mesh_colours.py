@@ -54,7 +54,7 @@ def _image(image: Image.Image) -> NDArray[np.float32] | None:
         warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
         return None
     if image.mode.startswith("I"):
-        # Images of these modes have 16-bit grey values, which Pillow's conversion to RGB would clip at 255.
+        # PIL's modes that begin with I have 16-bit grey values, which Pillow's conversion to RGB would clip at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
     # The sRGB transfer function is applied to the 256 possible values, instead of to every pixel, to save time.

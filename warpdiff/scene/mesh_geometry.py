@@ -280,8 +280,8 @@ def _sides_of_edges(
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
     """Return whether the faces bound bodies, with corners counter-clockwise as viewed from outside of each.
 
-    In such a mesh, the corners of equally many faces run along each edge in one direction as in the other. Each body
-    has a positive volume.
+    In such a mesh, as many faces run along an edge in one direction as in the opposite one, and the volume of each body
+    is positive.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)
