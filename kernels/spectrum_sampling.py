@@ -190,7 +190,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
 
-        These include additional rings at both ends, which the filter to spline coefficients requires.
+        Some of these rings precede or follow the octaves of the table, as the filter to spline coefficients requires
+        them.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count

@@ -301,8 +301,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x - 1, width, height), own,
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
-        # ``second`` is half the root mean square of the second differences at the four quadrants. The measured change
-        # may be small by chance, and is limited to the range from half of ``second`` to ``second``.
+        # ``second`` is half the root mean square of the second differences at the four quadrants. The change from the
+        # colour by one ray may be small by chance, and is limited to the range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)

@@ -135,8 +135,8 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         const float n_turn = -face.per_unit * (dot(n, step) - along * n_view);
         float of_t = per_length * (share1 * t_normal1 + share2 * t_normal2);
         float of_b = per_length * (share1 * b_normal1 + share2 * b_normal2);
-        // Where the shading normal was rotated towards the viewer, its angle with the view direction is constant. Its
-        // change along the view direction then follows from that of the view direction.
+        // Where the shading normal was rotated towards the viewer, its angle with the view direction remains constant.
+        // The change of the normal in the plane of both directions is then that of the view direction.
         const float of_cosine = clamped * (of_t * t_view + of_b * b_view + n_turn);
         of_t -= of_cosine * t_view;
         of_b -= of_cosine * b_view;

@@ -205,7 +205,14 @@ class RayBatch:
 
 @dataclass(frozen=True)
 class Counting:
-    """Rule by which the samples of a lobe are added to the sums of a batch."""
+    """Rule by which the samples of a lobe are added to the sums of a batch.
+
+    Attributes:
+        weight: Weight of the lobe's colours in the sum of colours.
+        counted: Weight of the hits in the coverage; 0 if an earlier lobe has counted these hits.
+        begins: Whether all sums are set to zero before this lobe is added.
+        resets: Whether the sum of colours is set to zero before this lobe is added.
+    """
 
     weight: float = 1.0
     counted: float = 0.0

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 # Progress of a light [0 to 1] at which its colours with one ray per pixel are complete, and refinement begins. Fitted
 # to the time of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. With many shadow rays, occluder grids save time. Fitted
-# to the snake: 20 at a tolerance of 0.1, 59 at 0.03.
+# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
+# time if there are many shadow rays. Fitted to the snake: 20 at a tolerance of 0.1, 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
 # distribute work less evenly over threads; shorter ones require more launches.

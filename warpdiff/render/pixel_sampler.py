@@ -136,7 +136,7 @@ class PixelSampler:
     def measure_directions(
         self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
     ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the directions for which a plan is required: their range, a sample of them, and their number.
+        """Return the illuminated directions, for which a plan is made: their range, a sample of them, and their number.
 
         Rays are traced separately for this. Measuring takes about 1 % of the time of the colours.
         """
