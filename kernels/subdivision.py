@@ -170,7 +170,7 @@ def splat_cells(
         colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
         weights: Weights, along one axis, of the cells of three pixels in a row for the middle pixel, (3 · 2ⁿ,).
-        level: The level n of the cells.
+        level: Level n of the cells, of which a pixel has 2ⁿ × 2ⁿ.
         is_base: Whether this is the base level, from whose cells the final level is selected.
         is_sampled: Whether each cell draws a direction to the light. The final level then depends on the scatter.
         first: Index of the first thread's first entry in ``pixels``.

@@ -106,7 +106,7 @@ struct Triangles {
     }
 };
 
-// Round the corners of all triangles to the grid, and compute their bounding boxes and edges.
+// Round the corners of all triangles to steps of 1/PER_PIXEL pixel, and compute their bounding boxes and edges.
 template <class Picture>
 WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
 {

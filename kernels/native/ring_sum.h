@@ -44,8 +44,8 @@ struct RingLevel {
 };
 
 // Return the weight of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
-// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this, its logarithm along
-// the ring is approximated by a parabola at the point.
+// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this, the logarithm of the
+// Gaussian along the ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {

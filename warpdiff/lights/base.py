@@ -96,7 +96,7 @@ class LobeSet(LightPart):
     """Set of lobes that are refined together: directional lights, small discs, point lights and suns.
 
     Attributes:
-        lobes: The lobes.
+        lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
     """
 
     lobes: tuple[Lobe, ...]

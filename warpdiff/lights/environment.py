@@ -216,7 +216,7 @@ class Environment(Checked, Light):
         reflectance at normal incidence: divide the background by that reflectance.
 
         Args:
-            view: The camera.
+            view: Camera through which the environment is visible.
 
         Returns:
             Linear sRGB, shape (height, width, 3).
@@ -272,7 +272,7 @@ class SkyPart(LightPart):
     """Sky of an environment, without its suns; it illuminates from the whole hemisphere.
 
     Attributes:
-        grid: The sky.
+        grid: Powers of the sky by direction.
     """
 
     grid: SkyGrid

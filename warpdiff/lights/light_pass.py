@@ -62,8 +62,8 @@ class PassContext:
     """Context that all passes of a picture share: its rays, its surface's optics, and structs for the kernels.
 
     Attributes:
-        rays: The camera rays.
-        optics: The optics of the surface.
+        rays: Camera rays, on whose hits the light is sampled.
+        optics: Optics of the surface, without the diffraction of its height field.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         pigment_strength: Strength of the pigment over R(0); 0 without a pigment.
         materials_of_faces: Index of each face's material on the device; empty for a single material.

@@ -33,7 +33,7 @@ class LobePass(LightPass):
     :meth:`footprint_calls`. If these methods pass scalars to kernels, :attr:`graph_key` must contain the scalars.
 
     Attributes:
-        part: The set of lobes.
+        part: Set of lobes that this pass samples.
     """
 
     def __init__(self, part: LobeSet, context: PassContext) -> None:

@@ -75,7 +75,7 @@ class Picture:
 
         Args:
             surface: The prepared mesh.
-            view: The first view.
+            view: Camera of the first rendering; later ones may have other cameras.
             optics: Optics of the surface, except for the diffraction of its height field.
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.

@@ -77,7 +77,7 @@ class LightRefinement:
     """Inputs of the refinement under one light, starting from colours by one ray per pixel; makes the kernel calls.
 
     Attributes:
-        light_pass: The pass of the light.
+        light_pass: Pass that samples the light and looks up its colours.
         lookup: Look-up of the light's colours.
         batch: The rays of whole pixels, whose colours are computed already.
         sums: Colours, errors and illuminated pixels of the light, which refinement updates.

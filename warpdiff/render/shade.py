@@ -61,7 +61,7 @@ def shade(
             independent of µm.
         heightfield: The height field; its x axis lies along the tangent field.
         lights: One light, or several.
-        view: The camera.
+        view: Camera and size of the picture.
         progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a
             bar. An exception that it raises cancels the picture.
 

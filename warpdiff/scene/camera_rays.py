@@ -42,14 +42,14 @@ class CameraRays:
     Attributes:
         surface: The prepared mesh.
         scene: The surface's arrays on the device.
-        view: The present view.
-        camera: The present view as the struct ``Camera`` of the kernels.
+        view: View that was set last.
+        camera: That view as the struct ``Camera`` of the kernels.
         width: Number of pixels per row, including the margin.
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
         options: Keyword arguments of kernel launches: the device and the number of threads.
         gbuffer: Hits of one ray per pixel, which the calls of :meth:`trace` compute.
-        may_be_occluded: Whether the mesh may occlude a light from some point that is visible in the present view.
+        may_be_occluded: Whether the mesh may occlude a light from some point that is visible in the view.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ def rays_for(
 
     Args:
         surface: The prepared mesh.
-        view: The first view.
+        view: First view; later ones must have the same size in pixels.
         smooth: Whether vertex normals are interpolated.
         margin: Number of pixels that are added to the picture on each side.
         device_driven: Whether the CPU uses the hierarchy, too, because its launches can be recorded.

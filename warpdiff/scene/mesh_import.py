@@ -279,8 +279,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if not worked_out:
         return normals.T
     corners = np.ascontiguousarray(faces.T)
-    # The normals are compared with computed ones at the vertices of a few faces first, and at all vertices only if
-    # these agree.
+    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
+    # only if these agree.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):
