@@ -1,1 +1,1 @@
-"""Warp kernels: one Warp module per file, with its structs and functions."""
+"""Warp kernels. Each file is a Warp module, which is compiled separately, with its structs and functions."""

@@ -1,4 +1,4 @@
-"""Camera rays through a hierarchy of bounding boxes, for GPUs and for launches that are recorded."""
+"""Camera rays that find their hits through a hierarchy of bounding boxes: on GPUs, and for recorded graphs."""
 
 import warp as wp
 
@@ -6,17 +6,17 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
-# The hierarchy's tests of boxes rely on infinities, which the project's compiler flags preserve.
+# Warp's intersection of rays and boxes relies on infinities. The compiler flags of this project preserve them.
 wp.set_module_options(compile_options.options())
 
-# Length of a ray [radii of the mesh]. Derived: a ray starts at most 2 radii before its point nearest to the centre, so
-# that it leaves the unit sphere within 3 radii. A larger length changes nothing.
+# Length of a ray [radii of the mesh]. Derived: a ray starts at most 2 radii before the point where it is nearest to the
+# mesh's centre, and leaves the sphere around the mesh within 3 radii. A larger length changes nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
 @wp.func
 def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.int32) -> wp.uint64:
-    """Return the first face that a ray hits, or ``UNSEEN``."""
+    """Return the index of the first face that a ray hits, or ``UNSEEN`` if it hits none."""
     pixel = ray
     offset = wp.vec2d()
     if sampling.offsets.shape[0] > 0:
@@ -28,7 +28,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
             return UNSEEN
         offset = sampling.places[ray % rays]
 
-    # The ray is computed in float64 until it is near the mesh, as the eye may be thousands of radii away.
+    # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away.
     two = wp.float64(2.0)
     column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
     row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
@@ -56,20 +56,20 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
 
 @wp.kernel
 def trace_bvh(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
     """Find the first face that each ray hits, by the hierarchy of bounding boxes.
 
     Args:
-        camera: The view.
-        surface: The mesh.
-        sampling: Positions of the rays.
+        camera: Camera in the units of the mesh.
+        surface: Mesh with its hierarchy.
+        sampling: Positions of the rays in their pixels.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
-        nearest_out: Index of the face in the lower 32 bits; ``UNSEEN`` if the ray hits no face.
+        nearest_out: Index of the face that each ray hits, in the lower 32 bits; ``UNSEEN`` if the ray hits no face.
     """
     for ray in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         nearest_out[ray] = trace(camera, surface, sampling, ray)

@@ -1,10 +1,11 @@
 """Coefficient sum: windowed Fourier coefficients near (u, v)/λ, integrated over a set of wavelengths.
 
-One thread computes one direction. At each wavelength, coefficients near q = (u, v)/λ are weighted by the Gaussian of
-the coherence, as powers or as amplitudes. For finitely many periods of the patch, an interpolation kernel weights
-amplitudes on a finer grid. The result is multiplied by the interference factor of the periods. A coefficient is the
-scalar product of its row in a table and a basis in κ = w/λ, which all coefficients share. The basis is interpolated
-from a second table, so that the kernels serve any series.
+One thread computes one direction. At each wavelength, coefficients near q = (u, v)/λ are added with the Gaussian of the
+coherence as weights. Powers or amplitudes are added, depending on the coherence. For finitely many periods of the
+patch, the amplitude at q is interpolated between coefficients instead, and its power is multiplied by the interference
+factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the values of the
+basis at κ = w/λ. All coefficients share one basis. The values are interpolated from a second table, so the kernels
+serve any series.
 """
 
 import functools
@@ -17,9 +18,11 @@ from warpdiff.kernels.indices import cyclic
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
-# Number of taps of the interpolation kernel along an axis. Limit: time is proportional to it.
+# Number of coefficients along an axis from which the amplitude at a frequency is interpolated. Limit: time is
+# proportional to it.
 TAPS = 8
-# Argument below which a parabola replaces the interference factor. Derived: the parabola's error is of fourth order.
+# Distance N t from a resonance below which a parabola replaces the interference factor, which is 0/0 at t = 0. Derived:
+# the error of the parabola is of fourth order.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -27,8 +30,9 @@ NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 class Quadrature:
     """Sets of wavelengths with colour weights; each set has 2^(−1/4) of the samples of the set before.
 
-    A direction uses the set for its bandwidth, as a share of the largest one: |(per_u u, per_v v)| + per_w |w| +
-    constant. For a source, u and v are stretched along its foreshortening.
+    The first set serves the largest bandwidth. A direction uses the smallest set that suffices for its bandwidth.
+    Relative to the largest bandwidth, it is |(per_u u, per_v v)| + per_w |w| + constant. For a source, (u, v) is
+    stretched along the direction in which the source is foreshortened.
     """
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
@@ -45,7 +49,7 @@ class Quadrature:
 
 @wp.func
 def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-    """Return R(θd, λ) of the quadrature's material, with cos θd = |(u, v, w)|/2; 1 without a material."""
+    """Return R(θd, λ) of the material, interpolated in a table, with cos θd = |(u, v, w)|/2; 1 without a material."""
     if quadrature.reflectances.shape[0] == 0:
         return wp.float32(1.0)
     place = wp.min(wp.length(scattering_vector) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
@@ -63,7 +67,10 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian exp(−across dy² − along (dx + slant dy)²) over distances in coefficients, for one direction."""
+    """Gaussian window exp(−across dy² − along (dx + slant dy)²) for one direction.
+
+    The distances (dx, dy) from q are in spacings of coefficients.
+    """
 
     across: wp.float32
     along: wp.float32
@@ -76,8 +83,9 @@ class Window:
 
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
-    """Return [sin(πNt)/(N sin(πt))]² at the position t in coefficients of the patch; 1 where t is a whole number."""
-    # Both arguments are reduced to half a period in float64, as N t may be thousands and float32 is too coarse.
+    """Return [sin(πNt)/(N sin(πt))]² for N periods; t is q in spacings of the patch's coefficients."""
+    # Before the sines, whole turns are removed from t and N t in float64: N t may be thousands, where float32 is too
+    # coarse.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -95,8 +103,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     Args:
         lanes: Number of terms in a row of the table.
-        form: One of ``FORMS``.
-        powers: Whether a row yields the power of a coefficient; otherwise two rows yield its amplitude.
+        form: Kind of the coherence, one of ``FORMS``.
+        powers: Whether the scalar product of a row is the power of a coefficient. Otherwise a coefficient has two rows,
+            for the real and the imaginary part of its amplitude.
 
     Returns:
         A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
@@ -129,11 +138,12 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
-        """Return the Gaussian over coefficients for one direction to the light."""
+        """Return the Gaussian window for one direction to the light, at λ = 1 µm for a source."""
         window = Window()
         if wp.static(form == "source"):
-            # Let t be the tangential part of the direction to the light. Under a source, the inverse covariance of
-            # (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². Cholesky factors of Σ⁻¹ avoid cancellation.
+            # Let t be the tangential part of the direction to the light, at the angle θ from the normal, and s the
+            # spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². It is stored as its
+            # Cholesky factors, whose computation subtracts no nearly equal numbers.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent
@@ -152,7 +162,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def basis_at(table: Table, kappa: wp.float64) -> row_t:
-        """Return the basis at |κ|: the cubic through four table entries, the first of which is before the range."""
+        """Return the values of the basis at |κ|, by the cubic polynomial through four entries of the table."""
         steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
         entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
         t = wp.float32(steps - wp.float64(entry))
@@ -168,9 +178,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return ⟨|P|²⟩ of a Gaussian at one wavelength; the wavenumber is 1/λ [1/µm]."""
-        # Positions reach hundreds of coefficients, while Gaussians are a few coefficients wide. The integer part of a
-        # position is removed in float64.
+        """Return ⟨|P|²⟩ at one wavelength: the sum of coefficients under a window. ``wavenumber`` is 1/λ [1/µm]."""
+        # q is hundreds of coefficients from the zeroth order, while the window is a few coefficients wide. Therefore
+        # the integer part of q is removed in float64, and the window is computed in float32.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))
@@ -206,8 +216,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         total_im = wp.float32(0.0)
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
-        # From one coefficient to the next along an axis, the Gaussian requires two multiplications. If a second
-        # coefficient exists, the factors below are at most exp(exponent).
+        # The Gaussian is not evaluated at each coefficient. From one coefficient to the next, it is multiplied by a
+        # factor, and that factor by a constant. The first factor is computed only if a second coefficient exists. It is
+        # then at most exp(exponent), and does not overflow.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):
@@ -230,7 +241,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # Each row of a slanted ellipse begins at a different coefficient.
+                # The window of a source is a slanted ellipse, in which each row begins at a different coefficient.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -264,13 +275,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # A mean of phases is at most 1. A series far beyond its range, which is computed only on request, may overflow
-        # to infinity or NaN. wp.min then returns its second argument.
+        # ⟨|P|²⟩ is at most 1. A series may overflow to infinity or NaN where the user has asked for arguments x far
+        # beyond its range; wp.min then returns 1.
         return wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the power of one patch at one wavelength, interpolated between the patch's coefficients."""
+        """Return |P|² of a single patch at one wavelength; its amplitude is interpolated between coefficients."""
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.floor(qy))
@@ -310,7 +321,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def interference_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the interference factor of the periods at one wavelength."""
+        """Return the interference factor of the periods at one wavelength, the product of the factors along y and x."""
         y = interference_factor(scattering_vector[1] * wavenumber * table.patch_y, table.periods_y)
         x = interference_factor(scattering_vector[0] * wavenumber * table.patch_x, table.periods_x)
         return y * x
@@ -321,7 +332,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # A foreshortened source is coherent over a longer distance along its tangent.
+            # For light at the angle θ from the normal, the spread of (u, v) along the tangential direction of the light
+            # is smaller by cos θ. Coherence then extends farther in this direction, which increases the bandwidth.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:
@@ -332,13 +344,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
-        # In:
+        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction, an integral over its set of wavelengths times its gain, to ``xyz_out``."""
+        """Add the XYZ of each direction to ``xyz_out``: its integral over a set of wavelengths, times its gain."""
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
@@ -346,11 +358,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]
             end = quadrature.firsts[chosen + 1]
-            # Thousands of samples are added in float64. In float32 rounding would exceed the tightest tolerances.
+            # Thousands of wavelengths are added in float64. In float32, rounding errors would exceed the smallest
+            # tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
-                # The power of the patch is computed at every wavelength number ``subdivisions`` and interpolated by
-                # cubics. The interference factor is cheap and changes faster: it is computed at all wavelengths.
+                # The interference factor changes fast with the wavelength but requires little time: it is computed at
+                # all wavelengths. The power of the patch changes slowly: it is computed at each ``divisions``-th
+                # wavelength and interpolated by cubic polynomials.
                 divisions = quadrature.subdivisions
                 intervals = (end - start - 1) // divisions
                 g0 = patch_power(table, scattering_vector, quadrature.wavenumbers[start])
@@ -388,10 +402,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def sample(
-        # In:
+        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), wavenumbers: wp.array(dtype=wp.float64), first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         reflectance_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
         """Compute ρ of each direction at each of the given wavelengths."""

@@ -9,8 +9,8 @@ computed in advance for each function. A look-up interpolates between rings and 
 functions at w.
 
 A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
-at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. Blur in ratio is a sum over
-more rings at look-up. A source has the same effect on the lines of an endless surface.
+at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. A look-up blurs in ratio by
+adding more rings. The lines of an endless surface are blurred by a source in the same way.
 """
 
 import functools
@@ -23,35 +23,42 @@ from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Options of the kernels: the compiler does not unroll loops, because unrolling makes compilation slower.
+# Compile options. Warp does not unroll loops, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, that a look-up sums with tabulated weights. Every ring has this many
-# repeated azimuths at both ends. Limit: twice as many double the size of the tables of weights.
+# Half of the largest number of azimuths, or rings, that a look-up adds with weights from a table. As azimuths are
+# periodic, the last azimuths are repeated before the first, and the first after the last, in this number. Limit: twice
+# as many double the size of the tables of weights.
 HALF_TAPS = 7
-# Largest number of directions that a thread of the CPU looks up in one call. Limit: size of local arrays.
+# Largest number of directions that a CPU thread looks up in one call. Limit: arrays of this size are on the stack.
 BATCH = 256
-# Number of directions between the present one and the one whose rows are prefetched from memory. Choice: other numbers
-# change only the time.
+# While one direction is looked up, the rows of a later direction are fetched from memory; this is the difference of
+# their indices. Choice: other numbers change only the time.
 _AHEAD = 3
-# Taps on each side of the filter that converts samples to spline coefficients. Limit: the rest is −0.17 to the sixth
-# power, 3e-5.
+# Number of samples on each side that the filter from samples to spline coefficients uses. Limit: weights decrease by
+# −0.17 from sample to sample, so the truncated ones are at most about 0.17⁶ = 3e-5.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of rows that a blur adds at a time. Limit: size of local arrays.
+# Number of azimuths whose rows a blur adds in one pass over the rings. Limit: their indices and weights are local
+# vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
-# Largest number of parts into which a footprint is divided along its angle. Limit: time is proportional to the parts.
+# Largest number of parts into which a footprint is divided where the angle of (u, v) changes within it. Limit: time is
+# proportional to the parts.
 MOST_PARTS = 12
-# Half width of a wide blur over rings [standard deviations]. Limit: time is proportional to it.
+# Distance from its centre at which a wide blur over rings is truncated [standard deviations]. Limit: time is
+# proportional to it.
 DEVIATIONS = 3.0
 
 
 @wp.struct
 class FootprintTaps:
-    """Weights of azimuths, or rings, around a position: the spline between them, blurred by part of a footprint."""
+    """Tables of weights by which a look-up adds azimuths, or rings, around a position.
+
+    The weights are those of the spline between azimuths, blurred by a Gaussian with the variance of a footprint.
+    """
 
     weights: wp.array3d(dtype=wp.float32)  # weights, (variances, fractions, 2 HALF_TAPS)
     lengths: wp.array(dtype=wp.int32)  # number of weights in use for each variance, from the first one on
@@ -61,7 +68,7 @@ class FootprintTaps:
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Return the weights of three neighbouring samples in a quadratic B-spline, at ``away`` from the middle one."""
+    """Return the weights of three neighbouring samples in a quadratic B-spline, ``away`` from the middle one."""
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
@@ -72,7 +79,7 @@ def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
 
 
 def variance_before(deviations: float) -> float:
-    """Return the variance of a normal distribution whose variance is 1 after truncation at some deviations."""
+    """Return the variance of a normal distribution that has variance 1 after it is truncated at ±``deviations``."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
@@ -83,11 +90,12 @@ def variance_before(deviations: float) -> float:
 
 @functools.cache
 def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
-    """Return the struct of a colour table with some number of functions of w, and its kernels.
+    """Return the struct and the kernels of colour tables for a number of functions of w.
 
     Args:
         w_basis_size: Number of functions of w.
-        source: Whether rows are lines under a source; otherwise they are a spectrum under a window.
+        source: Whether the table is for a source, whose rows contain line spectra. Otherwise rows contain the spectrum
+            under a window.
 
     Returns:
         A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
@@ -126,18 +134,20 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
         inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
 
-    # A second thread index, always 0, avoids a second compiled variant of the kernel: see ``light_samples``.
+    # Kernels have a second thread index, which is always 0, to avoid a second compiled variant: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
-        # In:
+        # Inputs of the kernel:
         values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
         run: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the coefficients of the quadratic spline through one octave's values, and repeat the first azimuths.
+        """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
 
-        Each coefficient is a sum over ``FILTER_REACH`` azimuths on both sides, as the weights decrease quickly.
+        The values are those of one octave. Each coefficient is a sum over ``FILTER_REACH`` azimuths on both sides;
+        weights of farther ones are negligible. Azimuths are periodic, and ``HALF_TAPS`` of them are repeated at both
+        ends.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -157,14 +167,14 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
-        # In:
+        # Inputs of the kernel:
         table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute values on the azimuths of a level: a Gaussian blur of the coefficients of a finer level.
+        """Compute the values of a mip level at its azimuths: a Gaussian blur of the coefficients of a finer level.
 
-        The quadratic spline itself has a variance of a quarter of the squared distance of azimuths.
+        The spline between azimuths is itself a blur, with a variance of a quarter of their squared distance.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -183,7 +193,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # A few azimuths are added at a time, as each pass reads and writes all rings.
+            # Several azimuths are added in each pass, because a pass reads and writes the sums of all rings.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):
@@ -207,7 +217,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of scattering vectors from ``begin`` to ``end``, times their gains."""
+        """Add the XYZ of the scattering vectors with indices from ``begin`` to ``end``, times their gains."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -219,21 +229,21 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the mean XYZ over footprints and the source, of scattering vectors from ``begin`` to ``end``."""
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, averaged over footprints and the source."""
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
-        # In:
+        # Inputs of the kernel:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, run: wp.int32,
         first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times their gains; ``footprints`` may be empty.
 
-        With a source, directions that the table does not serve are skipped. ``unserved_gain`` gets their gains, and 0
-        for other directions.
+        With a source, directions that the table cannot serve are skipped. Their gains are written to ``unserved_gain``,
+        and 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

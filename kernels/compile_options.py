@@ -1,4 +1,4 @@
-"""Compile options of kernels: flags, and the headers with their native functions."""
+"""Compile options of kernels: compiler flags, and the C++ headers of ``native`` that the kernels call."""
 
 import functools
 import re
@@ -19,7 +19,7 @@ NATIVE = Path(__file__).resolve().parent / "native"
 
 @functools.cache
 def headers(name: str) -> tuple[Path, ...]:
-    """Return a header of ``native`` and all headers that it includes."""
+    """Return the paths of a header in ``native`` and of all headers that it includes."""
     path = NATIVE / name
     included = re.findall(r'^#include "(\w+\.h)"', path.read_text(encoding="utf-8"), re.MULTILINE)
     return tuple(dict.fromkeys([path, *(header for inner in included for header in headers(inner))]))
@@ -28,8 +28,8 @@ def headers(name: str) -> tuple[Path, ...]:
 def options(*names: str, **others: Any) -> dict[str, Any]:
     """Return module options for kernels whose native functions are in headers of ``native``.
 
-    All modules get the same include folder, because Warp precompiles its headers again for other options. A module is
-    compiled again if one of its headers has changed.
+    All modules have the same include folder, because Warp would precompile its own headers again for another one. Warp
+    compiles a module again if one of its headers has changed, as the headers are build dependencies.
     """
     includes = "".join(f'#include "{name}"\n' for name in names)
     build = wp.ModuleBuildOptions(

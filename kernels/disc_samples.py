@@ -1,4 +1,7 @@
-"""Disc samples: directions drawn to a disc light; each sample is blurred, and together they have the disc's extent."""
+"""Disc samples: random directions to a disc light.
+
+Each sample stands for a small Gaussian; all together cover the disc.
+"""
 
 import math
 
@@ -11,9 +14,9 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Share of the samples that are drawn around the mirror direction if that direction is near the disc. ``REACH`` is the
-# largest distance from the disc that counts as near [standard deviations of the zeroth order]. Choices: other values
-# change the noise, not the mean.
+# ``MIRROR_SHARE`` of the samples are drawn around the mirror direction if that direction is near the disc, because
+# surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as near [standard deviations
+# of the zeroth order]. Choices: other values change the noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
@@ -34,30 +37,31 @@ def on_disc(point: wp.vec2f) -> wp.vec2f:
 
 @wp.kernel
 def draw_disc(
-    # In:
+    # Inputs of the kernel:
     lights: Lights, light_index: wp.int32, extent: wp.float32, lobe: wp.float32, pixels: Pixels,
     tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
     """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.
 
     Args:
-        lights: The lights; their deviations are half of the disc's radius.
+        lights: The lights. The deviations of a disc light are half of its radius.
         light_index: Index of the disc light.
-        extent: Standard deviation of the blur of a sample, in radii of the disc, at most 0.5. Directions are drawn on a
-            smaller disc, so that with the blur they have the variance of the disc.
+        extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
+            on a smaller disc, to which the Gaussian adds the missing variance.
         lobe: Standard deviation of the zeroth order in (u, v).
         pixels: Hits of the rays.
-        tiles: Pixels whose cells are the rays; empty stands for one ray per pixel of the picture.
+        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
-        sample: Index of the sample among the samples of the ray.
+        sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
-        towards_out: Unit vectors towards the light, world frame, and weights with a mean of 1; 0 beyond the disc.
+        towards_out: Unit vectors towards the light, world frame, and weights with a mean of 1. The weight is 0 for
+            directions beyond the disc.
     """
     place = lights.places[light_index]
     axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
@@ -80,7 +84,7 @@ def draw_disc(
         share = wp.where(wp.length(mirrored - axis) < edge + REACH * spread, MIRROR_SHARE, 0.0)
         towards = wp.vec3f()
         if point[0] < share:
-            # Draw from a Gaussian in (u, v), in the plane perpendicular to the normal.
+            # Draw (u, v) from a Gaussian around the mirror direction, where (u, v) is 0.
             size = spread * wp.sqrt(-2.0 * wp.log(1.0 - point[0] / share))
             angle = wp.static(2.0 * math.pi) * point[1]
             across_normal = mirrored - wp.dot(mirrored, normal) * normal
@@ -98,7 +102,8 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # Both densities are per solid angle. A density per area of (u, v) is multiplied by the cosine for this.
+            # Both densities are converted to solid angles: the Gaussian is a density per area of (u, v), and du dv = dω
+            # cos θi.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

@@ -10,7 +10,8 @@ import warp as wp
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
-# Least cosine between the view and a face. Limit: smaller cosines only lengthen footprints that are streaks anyway.
+# Least cosine between the view direction and a face's normal; smaller cosines are replaced by it. Limit: footprints of
+# faces that are nearly edge-on would become infinite.
 LEAST_FACING = 1e-4
 
 
@@ -22,4 +23,4 @@ def pixel_footprints_run(
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32, begin: wp.int32, end: wp.int32, footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Compute the footprints of the rays from ``begin`` to ``end``."""
+    """Compute the footprints of the rays with indices from ``begin`` to ``end``."""

@@ -8,13 +8,17 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Warp compiles a second variant, for contiguous arrays, of every kernel with one thread index. The variant is hardly
-# faster. A second thread index, always 0, avoids the second variant. It saves a third of the compilation time.
+# Warp compiles every kernel with one thread index twice; the second variant, for contiguous arrays, is hardly faster.
+# Kernels with two thread indices have one variant. Therefore the kernels here have a second index, which is always 0.
+# This saves a third of the compilation time.
 
 
 @wp.struct
 class Lights:
-    """Lights and their reflection by the pigment, in arrays, so that a recorded graph can be replayed with new ones."""
+    """Lights and their reflection by the pigment.
+
+    They are in arrays, so that a recorded graph can be replayed with new lights.
+    """
 
     places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
     strengths: wp.array(
@@ -27,15 +31,15 @@ class Lights:
 
 @wp.struct
 class Reflection:
-    """Parameters of the reflectance that do not depend on the directions."""
+    """Parameters of a surface's reflectance that are the same for all directions."""
 
     normal_reflectance: wp.float64  # R(0) of Schlick's approximation; 1 if the integral over λ includes R
     masking: wp.bool
     per_light_cosine: wp.bool  # whether gains are divided by the light's cosine, for coherence of kind "source"
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
     materials: wp.array(dtype=wp.int32)  # material of each face; empty for a single material
-    # Factors that normalise the energy, by the angle from the normal and the azimuth. An empty array leaves the energy
-    # of Stam's model unchanged.
+    # Factors of the energy normalisation, tabulated by the angle from the normal and the azimuth. An empty array leaves
+    # the energy of Stam's model unchanged.
     energy: wp.array2d(dtype=wp.float32)
 
 
@@ -74,22 +78,22 @@ def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32
 
 @wp.kernel
 def scattering_vectors(
-    # In:
+    # Inputs of the kernel:
     pixels: Pixels, lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), reflection: Reflection,
     weight: wp.float64, counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool),
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Compute scattering vectors, directions to the light and gains of pixels under one of the lights.
 
-    All pixels that hit the mesh get a scattering vector; pixels without light have a gain of 0. The kernel adds the
-    pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated pixels. With
-    ``begins``, coverage and marks are set to 0 first; with ``resets``, ``xyz_out`` is. Empty arrays are not written.
-    ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has a direction to the light and a
-    weight per pixel; an empty array stands for the direction of the light.
+    All pixels that hit the mesh get a scattering vector; pixels that the light does not reach have a gain of 0. The
+    kernel adds the pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated
+    pixels. With ``begins``, coverage and marks are set to 0 first; with ``resets``, ``xyz_out`` is. Empty arrays are
+    not written. ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has a direction to the
+    light and a weight per pixel; an empty array stands for the direction of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -123,13 +127,13 @@ def scattering_vectors(
 
 @wp.func
 def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
-    """Return the energy factor a of a direction in the surface's frame, interpolated between tabulated angles."""
+    """Return the factor a of the energy normalisation for a direction in the surface's frame, from a table."""
     rows = reflection.energy.shape[0]
     columns = reflection.energy.shape[1]
     if rows == 0:
         return 1.0
-    # The table has equal steps in √(1 − cos θ), nearly equal in θ, and in y/(|x| + |y|). Neither requires trigonometric
-    # functions.
+    # The rows of the table are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally spaced in
+    # y/(|x| + |y|) within each quadrant. Both are computed without trigonometric functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
@@ -147,13 +151,13 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
 
 @wp.kernel
 def balance_energy(
-    # In:
+    # Inputs of the kernel:
     scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f), reflection: Reflection,
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by the energy factors a(ωi) a(ωr) of both directions."""
+    """Multiply gains by the factors a(ωi) a(ωr) of the energy normalisation."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
@@ -166,13 +170,13 @@ def balance_energy(
 
 @wp.kernel
 def add_light_rotation(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, lights: Lights, light_index: wp.int32,
     deviation: wp.float32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints the change of the direction to a point light across the footprint, in the plane of the face."""
+    """Add to footprints the change of the direction to a point light between the points that a footprint covers."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])
@@ -205,7 +209,8 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # When the point moves, the direction to the light changes by −``rotated``, and (u, v) by +``rotated``.
+            # ``moved`` is the shift of the surface point. The direction to the light changes by −``rotated``, and thus
+            # (u, v) by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -214,17 +219,17 @@ def add_light_rotation(
 
 @wp.kernel
 def add_light_extent(
-    # In:
+    # Inputs of the kernel:
     lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), extent: wp.float32, pixels: Pixels,
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Widen footprints in (u, v) by the extent of a light: both covariances are added.
+    """Widen footprints in (u, v) by the extent of a light: the covariances of footprint and light are added.
 
-    If ``towards`` is empty, the extent is that of the light's directions. Otherwise the extent is a Gaussian around
-    each pixel's direction in ``towards``, with a standard deviation of ``extent`` radii of the disc. The radius is
-    twice the light's deviations.
+    If ``towards`` is empty, the covariance is that of the whole light. Otherwise the light is a disc with sampled
+    directions, which are in ``towards``. The covariance is then that of the Gaussian of one sample, with a standard
+    deviation of ``extent`` radii of the disc.
     """
     own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()
@@ -238,8 +243,8 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # The covariance perpendicular to a direction is an isotropic one, added here, minus the part along the
-                # direction, subtracted below.
+                # A sample spreads only perpendicularly to its direction. An isotropic covariance is added here, and its
+                # part along the direction is subtracted below.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x
@@ -252,7 +257,8 @@ def add_light_extent(
             xx -= x * x
             xy -= x * y
             yy -= y * y
-        # The two changes of the new footprint are the Cholesky factor of the covariance.
+        # A footprint is stored as two changes of (u, v). Those of the new footprint are a Cholesky factor of the
+        # covariance.
         along = wp.sqrt(wp.max(xx, 1.0e-20))
         beside = xy / along
         footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))
@@ -260,13 +266,13 @@ def add_light_extent(
 
 @wp.kernel
 def select_material(
-    # In:
+    # Inputs of the kernel:
     gains: wp.array(dtype=wp.float32), faces: wp.array(dtype=wp.int32), materials: wp.array(dtype=wp.int32),
     material: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Copy the gains of pixels whose faces have one material, and set other gains to 0."""
+    """Copy the gains of pixels whose faces have the given material, and set the gains of all other pixels to 0."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         gain = gains[i]
@@ -277,13 +283,13 @@ def select_material(
 
 @wp.kernel
 def pixel_footprints(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Compute footprints in (u, v) of the rays' filters, whose standard deviation is given in pixels."""
+    """Compute the changes of (u, v) over one standard deviation of the rays' filter; ``deviation`` is in pixels."""
     thread, _ = wp.tid()
     begin = first + thread * run
     pixel_footprints_run(camera, surface, pixels, scattering_vectors, deviation, begin, begin + run, footprints_out)

@@ -8,13 +8,14 @@ from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, S
 
 wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
 
-# Largest distance of a sample from its pixel's centre along an axis [pixels]. Derived: the cut of the pixel filter.
+# Largest distance of a sample from its pixel's centre along an axis [pixels]. Derived: the distance at which the pixel
+# filter is truncated.
 MOST_OFFSET = 1.5
-# Value of ``nearest`` for a ray that hits no face.
+# Value in the array ``nearest`` for a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
-# Multipliers of the hash ("lowbias32", Wellons 2018), the golden ratio, and the two numbers of the R2 sequence (Roberts
-# 2018). The last three are shares of 2^32.
+# Two multipliers of the hash function "lowbias32" (Wellons 2018), the golden ratio, and the two numbers of the R2
+# sequence (Roberts 2018). The last three are fractions of 1, multiplied by 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -44,8 +45,8 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     """Return the position of a sample in a pixel, (right, down) of the centre [pixels].
 
     Offsets have the distribution of the pixel filter, a Gaussian of 0.5 pixel truncated at 1.5, so that all samples
-    have equal weights. Samples follow the R2 sequence, rotated for each pixel by a hash (Cranley-Patterson). In
-    32-bit integers the sequence is exact at any index.
+    have equal weights. Samples follow the R2 sequence, shifted for each pixel by a hash (Cranley-Patterson rotation).
+    The sequence is computed in 32-bit integers, which are exact at any index.
     """
     result = wp.vec2d()
     if samples > 1:
@@ -64,9 +65,10 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
 
 @wp.func
 def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
-    """Return ``index`` modulo ``size``, for an index outside by less than one period.
+    """Return ``index`` modulo ``size``, for an index in −``size`` to 2 ``size`` − 1.
 
-    :func:`~warpdiff.kernels.indices.cyclic` would round texture look-ups differently and change pictures.
+    With :func:`~warpdiff.kernels.indices.cyclic` instead, the compiler would round texture look-ups differently, and
+    pictures would change.
     """
     result = index
     if result < 0:
@@ -94,7 +96,7 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     return (1.0 - fy) * top + fy * bottom
 
 
-# Largest number of cells per pixel. Derived: the finest level.
+# Number of cells of a pixel at the finest level. Derived from the levels.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 
@@ -105,31 +107,33 @@ def rasterize_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, begin: wp.int32,
     end: wp.int32, nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Rasterize the faces of one thread, and store the nearest face of each ray."""
+    """Rasterize the faces from ``begin`` to ``end``, and store the nearest face of each ray."""
 
 
 @wp.kernel
 def rasterize(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Find the first face that the ray of each pixel or cell hits, by rasterization; on the CPU only.
+    """Find the first face that the ray of each pixel or cell hits, by rasterization. Used on the CPU only.
 
-    Rays through a hierarchy would test the box of each face thousands of times. Rasterization projects each face once.
+    Rasterization is faster than rays through a hierarchy there: it projects each face once, while thousands of rays
+    would test the box of a face.
 
     Args:
-        camera: The view.
-        surface: The mesh.
-        sampling: Positions of the rays.
-        cells: Pixels that are subdivided; empty stands for one ray per pixel.
+        camera: Camera in the units of the mesh.
+        surface: Mesh whose faces are rasterized.
+        sampling: Positions of the rays in their pixels.
+        cells: Pixels that are subdivided; if empty, there is one ray per pixel.
         max_offset: Largest distance of a ray from its pixel's centre, along an axis [pixels].
         first: Index of the first thread's first face.
         run: Number of faces per thread.
-        nearest_out: Depth along the view, as the bits of a float32, above the index of the face; the smallest value
-            of each ray is stored. All bits are set if the ray hits no face.
+        nearest_out: For each ray, the depth along the view and the index of the face. The upper 32 bits are those of
+            the depth as a float32, so that the smallest value is the nearest face. All bits are set if the ray hits no
+            face.
     """
     begin = first + wp.tid() * run
     rasterize_run(camera, surface, sampling, cells, max_offset, begin, begin + run, nearest_out)
@@ -137,7 +141,7 @@ def rasterize(
 
 @wp.func
 def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
-    """Write the base colour at a hit into ``pixels.base_colour``."""
+    """Write the mesh's base colour at a hit into ``pixels.base_colour``."""
     i0 = surface.faces[pixels.face[ray], 0]
     i1 = surface.faces[pixels.face[ray], 1]
     i2 = surface.faces[pixels.face[ray], 2]
@@ -165,21 +169,22 @@ def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
 def intersect_known_faces_run(
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, begin: wp.int32, end: wp.int32
 ):
-    """Intersect the rays of one thread with their nearest faces."""
+    """Intersect the rays from ``begin`` to ``end`` with their nearest faces."""
 
 
 @wp.kernel
 def intersect_known_faces(
-    # In:
+    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """Intersect the rays of pixels or tiles with the faces from ``rasterize`` or ``trace_bvh``.
+    """Compute the hits of rays on their nearest faces, which ``rasterize`` or ``trace_bvh`` has found.
 
     Args:
-        camera: The view.
-        surface: The mesh.
-        sampling: Positions of the rays.
-        pixels: Arrays of hits: ``nearest`` is read, and the position on the face is written.
+        camera: Camera in the units of the mesh.
+        surface: Mesh with its base colours.
+        sampling: Positions of the rays in their pixels.
+        pixels: Arrays of hits. ``nearest`` is read; face, position on the face, direction to the viewer and base colour
+            are written.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
     """
@@ -193,29 +198,29 @@ def intersect_known_faces(
 
 @wp.kernel
 def place_samples(
-    # In:
+    # Inputs of the kernel:
     sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
-    """Compute the position of one sample in each pixel, by ``pixel_offset``."""
+    """Compute the position of one of several rays in each pixel, by ``pixel_offset``."""
     for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
 
 
 @wp.kernel
 def make_shading_frames(
-    # In:
+    # Inputs of the kernel:
     surface: SurfaceArrays, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.
 
     The frame is right-handed on both sides of the surface. For a view from behind, the normal is reversed and t does
-    not change. The bitangent b = (n × t) · handedness uses the reversed normal. The height field is then on that side
-    with the same x direction.
+    not change. The bitangent b = (n × t) · handedness uses the reversed normal. A view from behind then shows the
+    height field with the same x direction.
 
     Args:
-        surface: The mesh.
+        surface: Mesh with vertex normals and tangents.
         pixels: Arrays of hits: hits are read, frames and origins are written.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
@@ -240,7 +245,7 @@ def make_shading_frames(
             tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
             tangent = tangent - wp.dot(tangent, normal) * normal
             if wp.length_sq(tangent) > LEAST_TANGENT:
-                # The vector is projected twice, as in ``face_the_viewer``, because of rounding.
+                # A second projection removes rounding errors of the first one, as in ``face_the_viewer``.
                 tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
             else:
                 tangent = perpendicular(normal)

@@ -1,6 +1,6 @@
 """Refinement levels: subpixel cells, the pixel filter, and the error model of refinement.
 
-The module has plain numbers without Warp, which kernels and hosts share.
+The module does not import Warp, so that the host can use its numbers without loading Warp.
 """
 
 import math
@@ -8,19 +8,21 @@ import math
 from warpdiff.kernels.thresholds import PERCENTILE
 
 # Standard deviation of the pixel filter, a Gaussian, and its truncation along each axis [pixels]. Choices: with twice
-# the deviation, pictures are blurred; with twice the cut, cells contribute to more than the nine pixels of a splat.
+# the deviation, pictures are blurred; with twice the truncation, a cell would contribute to more than nine pixels.
 FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
-# Shares of the pixel filter in three pixels in a row. Derived from FILTER_SIGMA and FILTER_CUT.
+# Integrals of a pixel's filter over the previous pixel, the pixel itself and the next pixel of a row. Derived from
+# FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level, with 4,096 cells per pixel and 36,864 under a pixel's filter. Limit: each level has four times the
-# cells of the level before, and takes four times the time.
+# The finest level, with 4,096 cells per pixel. Limit: each level has four times as many cells as the level before, and
+# takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# Least tolerance at which the finest level is one lower. Limit: the remaining
-# error is within tolerances of this size.
+# From this tolerance on, the finest level is MOST_LEVEL − 1. Limit: errors that remain at that level are smaller than
+# this tolerance.
 COARSE_TOLERANCE = 0.05
-# Least level of pictures without footprints. Limit: one ray per pixel does not indicate how much the pixel varies.
+# Least level of pictures without footprints. Limit: with one ray per pixel, the variation of colours within a pixel is
+# unknown.
 LEAST_LEVEL_OF_POINTS = 2
 # Estimated error of a pixel with one ray, relative to the contrast with its neighbours, as a sum of three terms. The
 # first is constant. The second is proportional to the unevenness of (u, v). The third is proportional to the change of
@@ -29,17 +31,19 @@ LEAST_LEVEL_OF_POINTS = 2
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # Safety factor on the predicted change of a tile when its level is selected, and a second factor at edges. A tile is at
 # an edge if it and its neighbours have both illuminated cells and dark or empty ones. Fitted to the snake, tested on
-# other bodies and surfaces (docs/decisions/adaptive_sampling.md); twice as much takes 1.4 times as many cells per axis.
+# other bodies and surfaces (docs/decisions/adaptive_sampling.md); twice as large factors require 1.4 times as many
+# cells per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
-# The estimated error of a refined pixel is ERROR_PER_CHANGES times the root sum of squares over nine tiles. The error
-# falls with the number of cells along an axis to the power ERROR_ORDER. Fitted: 95 of 100 pixels have a smaller error.
+# The estimated error of a refined pixel is ERROR_PER_CHANGES times the root sum of squares of the errors of its nine
+# tiles. The error of a tile decreases as n^−ERROR_ORDER, where n is the number of cells along an axis. Fitted: 95 of
+# 100 pixels have a smaller error.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
-# Estimated error of a mean over random samples [standard deviations]. Limit: twice as much requires four times the
-# samples.
+# Estimated error of a mean over random samples, in standard deviations of this mean. Limit: with twice the value,
+# pictures under sampled lights require four times as many samples.
 SCATTER_FACTOR = 1.5
-# Share of the illuminated pixels that are brighter than the reference luminance Y*. Derived: one minus the percentile.
-# Reported errors replace Y* by the median of Y, weighted by Y, if that is larger. Refinement does not, and is at least
-# as strict.
+# Share of the illuminated pixels that are brighter than the Y* of refinement, P99(Y). Derived: one minus the
+# percentile. The reference luminance of reported errors may be larger: it is also at least the luminance-weighted
+# median of Y. Refinement is then stricter than the report.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 

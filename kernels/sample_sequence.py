@@ -7,12 +7,13 @@ ordering of pixels, 2020). The scrambling is Burley's (Practical hash-based Owen
 
 import warp as wp
 
-# Seeds of the hashes. The first pair is for the order of samples. The second pair is for the numbers that select a
-# direction of the light. The third pair is for the numbers that select a point of the pixel filter.
+# Seeds of the hashes that scramble the sequence. ``ORDER_SEED`` and ``ORDER_SEED_OF_FILTER`` are for the order of the
+# samples, the others for their coordinates. Seeds whose names contain FILTER are for points of the pixel filter, the
+# others for directions to the light.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
-# Even multipliers of the hash of Laine and Karras.
+# Multipliers of the hash of Laine and Karras. They are even, so that a bit is flipped depending on lower bits only.
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
@@ -43,7 +44,7 @@ def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def second_sobol(index: wp.uint32) -> wp.uint32:
-    """Return the second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the index."""
+    """Return the second coordinate of Sobol's sequence: the bits of the index times Pascal's matrix modulo 2."""
     x = index
     x ^= x >> wp.uint32(16)
     x ^= (x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)
@@ -65,13 +66,13 @@ def spread_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
-    """Return the index of a cell of the picture along a Morton curve."""
+    """Return the position of a cell of the picture on a Morton curve, from its column and row."""
     return spread_bits(wp.uint32(column)) | (spread_bits(wp.uint32(row)) << wp.uint32(1))
 
 
 @wp.func
 def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
-    """Return a point of a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
+    """Return the point with the given index in a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
     shuffled = owen_scramble(index, order_seed)
     x = owen_scramble(reverse_bits(shuffled), seed_x)
     y = owen_scramble(second_sobol(shuffled), seed_y)
@@ -86,14 +87,14 @@ def sample_index(
     tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, ray: wp.int32, sample: wp.int32,
     samples: wp.int32,
 ) -> wp.uint32:  # fmt: skip
-    """Return the index in the sequence of one of the samples of a ray.
+    """Return the index in the (0, 2) sequence for one of the samples of a ray.
 
     Args:
-        tiles: Pixels whose cells are the rays; empty stands for one ray per pixel of the picture.
+        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         ray: Index of the ray.
-        sample: Index of the sample among the samples of the ray.
+        sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.
     """
     pixel = ray

@@ -4,18 +4,19 @@ import warp as wp
 
 from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
-# Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding of
-# positions. Shadows of occluders closer than this height are missing.
+# Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding
+# error of positions. Occluders closer than this height cast no shadow.
 LIFT = wp.constant(wp.float32(1.0e-5))
 # Least cosine between the shading normal and the view. Normals with a smaller cosine are tilted towards the viewer.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
-# Least squared length of a tangent's part perpendicular to the normal. Below it, any perpendicular direction is used.
+# Least squared length of a tangent's component perpendicular to the normal. Shorter ones are replaced by an arbitrary
+# perpendicular direction.
 LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
 
 
 @wp.func
 def perpendicular(v: wp.vec3f) -> wp.vec3f:
-    """Return a unit vector perpendicular to the unit vector ``v``: the projection of the axis least aligned with it."""
+    """Return a unit vector perpendicular to ``v``, from the coordinate axis that is least parallel to ``v``."""
     axis = wp.vec3f(1.0, 0.0, 0.0)
     size = wp.abs(v[0])
     if wp.abs(v[1]) < size:
@@ -39,7 +40,8 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
             aside = geometric - wp.dot(geometric, to_view) * to_view
         if wp.length_sq(aside) < 1.0e-12:
             aside = perpendicular(to_view)
-        # Nearly parallel vectors leave a short remainder with a large rounding error, so that it is projected twice.
+        # The difference of nearly parallel vectors is short, and has a large relative rounding error. A second
+        # projection removes its error along the other vector.
         aside = wp.normalize(aside)
         aside = wp.normalize(aside - wp.dot(aside, to_view) * to_view)
         result = LEAST_COSINE * to_view + wp.sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * aside
@@ -51,4 +53,7 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
     f"{{{float(LEAST_COSINE)}f, {float(LEAST_TANGENT)}f, {float(LIFT)}f}});"
 )
 def shading_frames_run(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
-    """Compute shading frames and origins of shadow rays; return the number of pixels that need ``face_the_viewer``."""
+    """Compute shading frames and origins of shadow rays.
+
+    Return the number of pixels that require ``face_the_viewer``.
+    """

@@ -1,8 +1,8 @@
 """Shadow rays: a grid over the mesh as projected along the light, whose cells list the faces in them.
 
-Positions across the light are whole multiples of 2^-24 radii. Differences and products of positions are exact in
-float64. For two faces that meet at an edge, a point is therefore on the same side of the edge, with any compiler. No
-ray passes between the faces.
+Positions perpendicular to the light are rounded to whole multiples of 2^-24 radii. Their differences and products are
+then exact in float64, with any compiler. For two faces that meet at an edge, a point is therefore on the same side of
+the edge in both tests, and no ray passes between the faces.
 """
 
 import warp as wp
@@ -14,17 +14,21 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# A second thread index in most kernels, always 0, avoids a second compiled variant: see ``light_samples``.
+# Most kernels have a second thread index, which is always 0, to avoid a second compiled variant: see ``light_samples``.
 
 # Number of grid steps per radius of the mesh. Limit: float32 represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# Least cosine to the light at which a shadow ray is traced. Derived: its magnitude exceeds the rounding of cosines.
+# Least cosine between the normal and the direction to the light at which a shadow ray is traced; it is negative.
+# Derived: its magnitude exceeds the rounding error of cosines.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
 @wp.struct
 class ShadowGrid:
-    """Grid over a mesh, projected along the direction to a light, with lists of faces by cell."""
+    """Grid over a mesh that is projected along the direction to a light.
+
+    Each cell has a list of the faces that overlap it.
+    """
 
     mesh_id: wp.uint64  # mesh with the hierarchy that is used if the grid has no lists
     across: wp.vec3d  # first unit vector perpendicular to the light
@@ -44,7 +48,7 @@ class ShadowGrid:
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """Return a position in the axes of an occluder grid: two in units of a cell, and the height."""
+    """Return a position in the axes of an occluder grid: along ``across`` and ``up`` in steps, and the height."""
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
@@ -53,13 +57,16 @@ def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
-    """Return the column or row of a coordinate; it never decreases as the coordinate increases."""
+    """Return the column or row of a coordinate.
+
+    A larger coordinate never has a smaller column or row, in spite of rounding.
+    """
     return wp.int32(wp.floor((place - low) * per_step))
 
 
 @wp.func
 def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return twice the signed area of an edge and a point, exactly; it is positive if the point is to the left."""
+    """Return twice the signed area of a triangle, exactly; it is positive if the point is to the left of the edge."""
     ax = wp.float64(a[0])
     ay = wp.float64(a[1])
     return (wp.float64(b[0]) - ax) * (y - ay) - (wp.float64(b[1]) - ay) * (x - ax)
@@ -67,7 +74,10 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """Return the first and last column and row of a face's box; the ranges are empty for a face without area."""
+    """Return the first and last column and row of a face's bounding box.
+
+    The ranges are empty for a face without area.
+    """
     c0 = corners[0]
     c1 = corners[1]
     c2 = corners[2]
@@ -82,13 +92,16 @@ def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
 
 @wp.kernel
 def project(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid, positions: wp.array(dtype=wp.vec3f), faces: wp.array2d(dtype=wp.int32), first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Project the corners of faces, and count the cells that each face's box overlaps; 0 for faces without lists."""
+    """Project the corners of faces, and count the cells that the bounding box of each face overlaps.
+
+    The count is 0 for faces that are edge-on, and in a closed mesh for faces on the far side from the light.
+    """
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = light_coordinates(grid, positions[faces[face, 0]])
         p1 = light_coordinates(grid, positions[faces[face, 1]])
@@ -107,14 +120,14 @@ def project(
 
 @wp.kernel
 def count(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the faces in each cell's list."""
+    """Count the faces that each cell's list will have."""
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])
@@ -125,16 +138,16 @@ def count(
 
 @wp.kernel
 def fill(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     ends_out: wp.array(dtype=wp.int32),
 ):
-    """Fill the cells' lists; their order depends on the threads, but occlusion does not depend on the order.
+    """Fill the cells' lists. The order in a list depends on the threads, but occlusion does not depend on this order.
 
-    On input ``ends_out`` has the beginnings of the lists, on output their ends.
+    Before the launch ``ends_out`` has the index at which each list begins, and afterwards the index at which it ends.
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
@@ -148,7 +161,8 @@ def fill(
                 grid.tops[place] = top
 
 
-# The native look-up computes coordinates, cells and sides of edges exactly as the functions above that make the lists.
+# ``native/shadow_rays.h`` computes coordinates, cells and sides of edges exactly as the functions above, with which the
+# lists are made.
 @wp.func_native(
     f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
     "occluded_out);"
@@ -157,21 +171,22 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Determine for the pixels of one thread whether faces in the lists occlude the light."""
+    """Determine for the pixels from ``begin`` to ``end`` whether faces in the lists of the grid occlude the light."""
 
 
 @wp.kernel
 def trace_shadow_rays(
-    # In:
+    # Inputs of the kernel:
     grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec4f),
     pixels: Pixels, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.
 
-    ``grid`` belongs to the same light, and has no lists for a point light. ``directions`` has a direction to the light
-    and a weight per pixel; an empty array stands for the direction of the light.
+    ``grid`` is that of the light; for a point light it has no lists, and the ray uses the hierarchy of faces.
+    ``directions`` has a direction to the light and a weight per pixel. If it is empty, all pixels use the direction of
+    the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))

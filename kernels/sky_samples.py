@@ -1,7 +1,7 @@
-"""Sky samples: directions drawn in proportion to the light that the surface scatters from them, and to the sky.
+"""Sky samples: random directions, some drawn where the surface scatters much light, others where the sky is bright.
 
-Some samples draw (u, v) from a table of the surface's colours, other samples draw a direction from blocks of the sky.
-The sample's density combines both (balance heuristic, Veach 1997).
+The former draw (u, v) from a table of the surface's colours, the latter a direction from blocks of the sky. The weight
+of a sample is one over the sum of both densities (balance heuristic, Veach 1997).
 """
 
 import math
@@ -22,7 +22,7 @@ LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
 @wp.struct
 class Sky:
-    """Sky by latitude and longitude: the top row is around +y, the middle column is towards −z."""
+    """Sky on a latitude-longitude grid. The top row is around +y, and the middle column is towards −z."""
 
     powers: wp.array2d(dtype=wp.vec3f)  # power per solid angle, one component per spectrum
     turn: wp.float32  # rotation of the sky about +y, as a share of a whole turn
@@ -31,7 +31,7 @@ class Sky:
 
 @wp.struct
 class SkyDistribution:
-    """Distributions of directions: over (u, v), as rings with azimuth samples, and over blocks of the sky."""
+    """The two distributions of a sky's samples: over (u, v), on rings of azimuth samples; over blocks of the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rings
     starts: wp.array(dtype=wp.int32)  # first azimuth sample of each ring; the last entry is the total number
@@ -47,7 +47,7 @@ class SkyDistribution:
 
 @wp.func
 def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, value: wp.float32) -> wp.int32:
-    """Return the first index whose cumulative share exceeds a value, or the last index."""
+    """Return the first index from which the cumulative share exceeds a value; the last index if none does."""
     low = begin
     high = end - 1
     while low < high:
@@ -61,7 +61,7 @@ def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
-    """Return the position of a value within a step of a cumulative distribution, 0 to 1."""
+    """Return where a value lies between the cumulative shares before and at an index, 0 to 1."""
     before = wp.float32(0.0)
     if index > begin:
         before = cdf[index - 1]
@@ -161,7 +161,10 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 
 @wp.func
 def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
-    """Return the gain, as in ``light_samples.h``, over the light's cosine, for integrals over du dv = dω cos θi."""
+    """Return the gain of ``light_samples.h`` divided by cos θi.
+
+    The division is due to integration over du dv = dω cos θi.
+    """
     w = light[2] + view[2]
     overlap = 0.5 * (wp.length_sq(uv) + w * w)
     cosine = wp.sqrt(0.5 * overlap)
@@ -176,16 +179,16 @@ def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view
 
 @wp.kernel
 def mirror_deflections(
-    # In:
+    # Inputs of the kernel:
     pixels: Pixels, counted: wp.float64, begins: wp.bool, resets: wp.bool, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors for light from the mirror direction, which footprints require, and count hits.
+    """Compute scattering vectors for light from the mirror direction, from which footprints follow, and count hits.
 
-    Gains are 1 at all hits, because a sky illuminates every point.
+    Directions to the light are not drawn yet. Gains are 1 at all hits, because a sky illuminates every point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -205,11 +208,11 @@ def mirror_deflections(
 
 @wp.kernel
 def sample_sky(
-    # In:
+    # Inputs of the kernel:
     sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
     reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
     across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -217,18 +220,18 @@ def sample_sky(
     """Draw one direction of the sky for each ray, compute its scattering vector and gains, and add the pigment's light.
 
     Args:
-        sky: The sky.
-        table: The distributions of directions.
+        sky: Powers of the sky by direction.
+        table: The distributions from which directions are drawn.
         pixels: Hits of the rays.
         footprints: Footprints of the rays' filters for light from the mirror direction.
-        lights: The strength of the pigment.
-        reflection: Parameters of the reflectance.
+        lights: Struct of which only the strength of the pigment is used.
+        reflection: Parameters of the surface's reflectance.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
-        tiles: Pixels whose cells are the rays; −1 is no pixel. Empty stands for one ray per pixel of the picture.
+        tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
-        sample: Index of the sample among the samples of the ray.
+        sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
@@ -251,8 +254,9 @@ def sample_sky(
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
         within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller), and turn the normal accordingly. A turn by an angle moves
-        # (u, v) of light from the mirror direction by 2 cos θ times the angle.
+        # Draw a point of the pixel filter (Box and Muller), and rotate the normal so that (u, v) changes as the
+        # footprint states. If the normal rotates by an angle, (u, v) of light from the mirror direction changes by 2
+        # cos θ times the angle.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)
@@ -287,7 +291,8 @@ def sample_sky(
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:
             continue
-        # Densities are per area of (u, v). A density per solid angle is divided by the cosine, as dω cos θi = du dv.
+        # Densities are per area of (u, v). The density of directions is per solid angle, and is divided by cos θi,
+        # because dω cos θi = du dv.
         place = place_in_sky(sky, along)
         density = (1.0 - table.sky_share) * density_of_uv(table, uv)
         density += table.sky_share * density_of_direction(table, place) / light[2]

@@ -1,8 +1,8 @@
 """Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
 
 Rings are at equal ratios along an azimuth. The value of a ring is the integral of the spectrum under a quadratic
-B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights are the
-same at every radius: see ``colour_lookup``.
+B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave, with the same weights
+at every radius: see ``colour_lookup``.
 """
 
 import functools
@@ -24,8 +24,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
     Args:
         lanes: Number of terms in a row of coefficients.
-        powers: Whether rows are powers, for averaged windows; sampled rows are then sums of rows. Otherwise rows are
-            amplitudes, for centred windows, and a sampled row has the powers of their sum at several κ.
+        powers: Whether rows are powers, for averaged windows. A sampled row is then a weighted sum of rows. Otherwise
+            rows are amplitudes, for centred windows. A sampled row then has the power of their weighted sum at several
+            κ.
         width: Number of terms in a sampled row.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
@@ -41,22 +42,25 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrate the spectrum along one azimuth, for the rings of one octave, into rows from ``begin`` on."""
+        """Integrate the spectrum along one azimuth under the splines of one octave's rings.
+
+        The results are written to rows from ``begin`` on.
+        """
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
-        # In:
+        # Inputs of the kernel:
         table: coefficients_t, bases: wp.array(dtype=out_t), azimuths: wp.int32, rings_per_octave: wp.int32,
         log_low: wp.float64, divisions: wp.int32, highest: wp.float64, excluded: wp.int32, start: wp.int32,
         first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
         """Integrate the power spectrum along azimuths under the splines of one octave's rings.
 
         ``log_low`` is ln of the first ring's frequency, and ``start`` the row of azimuth 0. The spectrum is sampled
-        ``divisions`` times per ring, up to the frequency ``highest``, without the coefficient ``excluded``. Amplitudes
-        are multiplied by ``bases``, term by term.
+        ``divisions`` times per ring, up to the frequency ``highest``, without the coefficient ``excluded``. If rows are
+        amplitudes, ``bases`` has the values of the basis at several κ.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
@@ -74,25 +78,25 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that sums coefficients, as lines of a spectrum, on azimuths, and the type of its rows."""
+    """Return the kernel that adds the lines of a line spectrum on azimuths, and the type of its rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def gather(
-        # In:
+        # Inputs of the kernel:
         coefficients: wp.array(dtype=row_t), lines: wp.array(dtype=wp.int32), angles: wp.array(dtype=wp.float32),
         places: wp.array(dtype=wp.float32), weights: wp.array(dtype=wp.float32), begins: wp.array(dtype=wp.int32),
         ends: wp.array(dtype=wp.int32), rings: wp.int32, blur: wp.float32, first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Integrate lines along azimuths under the splines of the rings; lines are blurred in angle.
+        """Integrate a line spectrum along azimuths under the splines of the rings; lines are blurred in angle.
 
         Args:
-            coefficients: Powers of the lines.
+            coefficients: Powers of the lines, one row of terms per coefficient.
             lines: Indices into ``coefficients``, in the order of the lines' angles.
             angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
-            places: Positions of the lines along an azimuth, in rings.
+            places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
             weights: Weights of the lines.
             begins: For each azimuth, the first line whose blur reaches it.
             ends: For each azimuth, one more than the last line whose blur reaches it.
@@ -123,11 +127,14 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """Return kernels that project rows of ``lanes`` terms to ``w_basis_size`` functions of w, with their types."""
+    """Return the kernels that integrate rows of ``lanes`` terms over λ.
+
+    The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z.
+    """
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths that are summed together. Limit: their sums must fit in registers.
+    # Number of azimuths that are integrated together. Limit: their sums must fit in registers.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -139,7 +146,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy rows of a few azimuths, from one ring before the octave on, ``length`` rows for each azimuth."""
+        """Copy ``length`` rows for each of a few azimuths, from the ring before the octave on."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -150,22 +157,22 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths from ``length`` rows each, after ``skipped`` rows."""
+        """Compute colours along a few azimuths from ``length`` rows each; ``skipped`` rows precede the first colour."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
-        # In:
+        # Inputs of the kernel:
         values: wp.array(dtype=values_t), starts: wp.array(dtype=wp.int32), azimuths: wp.array(dtype=wp.int32),
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         octave: wp.int32, length: wp.int32, sequence: wp.array(dtype=values_t), first: wp.int32, run: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
 
-        The red end of the spectrum is in the same octave of frequencies, the blue end in the next one or a little
-        beyond. The next octave has equally many azimuths or twice as many. ``sequence`` is memory for ``length`` rows
-        per azimuth.
+        At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, in the same octave as the ring. Blue light is in
+        the next octave or just beyond it. The next octave has equally many azimuths or twice as many. ``sequence`` is
+        working memory of ``length`` rows per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -175,15 +182,16 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project_lines(
-        # In:
+        # Inputs of the kernel:
         values: wp.array(dtype=values_t), matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32, rings: wp.int32, row_count: wp.int32, first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths, each with ``row_count`` rings.
+        """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
 
-        The rings include the additional rings that the filter to spline coefficients requires.
+        Some of these rings precede or follow the octaves of the table, as the filter to spline coefficients requires
+        them.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count
@@ -197,17 +205,17 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds rows of ``w_basis_size`` functions of w, times a factor per ring."""
+    """Return the kernel that adds rows, each times a factor; a row has coefficients of ``w_basis_size`` functions."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def add_product(
-        # In:
+        # Inputs of the kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
-        # Out:
+        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Add the rings of azimuths, each times its factor, to ``rows_out``; ``begins`` overwrites ``rows_out``."""
+        """Multiply rows by the factor of their ring, and add them to ``rows_out``, or replace it with ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

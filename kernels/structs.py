@@ -1,14 +1,14 @@
 """Structs of kernels: cameras, meshes, ray positions, subpixel cells and hits.
 
-Positions are in units in which the mesh fills the unit sphere around the origin. The relative rounding of float32 is
-then equal for meshes of a nanometre and of a kilometre, at any distance from the world's origin.
+Positions are in units in which the mesh fills the unit sphere around the origin. Relative rounding errors in float32
+then depend neither on the size of the mesh nor on its distance from the origin of the world.
 """
 
 import warp as wp
 
 # Footprint: changes of (u, v) over one standard deviation of the filter, first along rows and then along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Value of ``hit`` for a pixel whose shading frame is not computed yet.
+# Value of ``hit`` for a pixel whose shading frame requires a second, slower computation.
 SPECIAL = wp.constant(2)
 
 
@@ -16,8 +16,8 @@ SPECIAL = wp.constant(2)
 class Camera:
     """Camera of a view: the fields of ``warpdiff.scene.camera.ViewFrame`` in the surface's units."""
 
-    # Origin, right, up, back, and half the width and height. An array of these vectors lets a recorded graph be
-    # replayed for new views. An array of structs would take half a second longer to compile.
+    # Five vectors: origin, right, up, back, and half the width and height. They are in an array, so that a recorded
+    # graph can be replayed for new views. With an array of structs, compilation would take half a second longer.
     axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool
     width: wp.int32
@@ -26,7 +26,7 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Positions of rays: pixel centres, one offset per pixel, or all cells of some pixels."""
+    """Positions of rays in pixels: at the centre, at one offset per pixel, or at all cells of some pixels."""
 
     tiles: wp.array(dtype=wp.int32)  # pixels whose cells are the rays, −1 is no pixel; empty without cells
     places: wp.array(dtype=wp.vec2d)  # positions of a pixel's cells, (right, down) of the centre [pixels]; or empty
@@ -35,7 +35,7 @@ class Sampling:
 
 @wp.struct
 class Cells:
-    """Set of pixels that are divided into cells, for rasterization; every pixel has the same number of cells."""
+    """Set of pixels whose cells are rasterized; each of these pixels has the same number of cells."""
 
     marks: wp.array(dtype=wp.uint64)  # one bit per pixel of the picture; each row begins with a new 64-bit word
     ranks: wp.array(dtype=wp.int32)  # for each pixel of the picture, its index in the set
@@ -44,7 +44,7 @@ class Cells:
 
 @wp.struct
 class SurfaceArrays:
-    """Mesh with the attributes that are interpolated: the fields of ``warpdiff.scene.mesh_import.Surface``."""
+    """Mesh in the units of the kernels, with its vertices' attributes, as in ``warpdiff.scene.mesh_import.Surface``."""
 
     mesh_id: wp.uint64
     positions: wp.array(dtype=wp.vec3f)
@@ -61,7 +61,10 @@ class SurfaceArrays:
 
 @wp.struct
 class Pixels:
-    """Hits and shading frames, one entry per pixel. Kernels with arrays in structs compile a third faster."""
+    """Arrays of hits and shading frames, one entry per ray.
+
+    With one struct instead of many arrays, kernels compile a third faster.
+    """
 
     nearest: wp.array(dtype=wp.uint64)  # nearest face of each ray, from ``rasterize`` or ``trace_bvh``
     hit: wp.array(dtype=wp.int32)  # 1 where the ray hits the mesh, else 0; other fields but ``face`` are then undefined

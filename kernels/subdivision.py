@@ -1,4 +1,4 @@
-"""Adaptive subdivision: error estimates of pixels, splatting of cells to pixels, and selection of levels."""
+"""Adaptive subdivision: kernels that estimate errors, add cells to pixels, and select the level of each tile."""
 
 import warp as wp
 
@@ -6,11 +6,12 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels: ``ACTIVE`` pixels are subdivided, ``SHARED`` pixels use the cells of their neighbours. A pixel with
-# mark 0 has the colour of one ray.
+# Marks of pixels. ``ACTIVE`` pixels are subdivided. ``SHARED`` pixels use the cells of their neighbours. A pixel with
+# the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
-# Bits for the cells of a tile, as in kernels/native/cell_splats.h: any is illuminated, any is dark, any hits nothing.
+# Bits for the cells of a tile, as in kernels/native/cell_splats.h: some cell is illuminated; some cell hits the mesh
+# but is dark; some cell hits nothing.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
@@ -27,22 +28,22 @@ ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_
 
 @wp.func
 def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int32, other: wp.int32) -> wp.vec2f:
-    """Return the difference of (u, v) between two pixels."""
+    """Return the difference of (u, v) between the hits of two pixels."""
     moved = scattering_vectors[other] - scattering_vectors[own]
     return wp.vec2f(wp.float32(moved[0]), wp.float32(moved[1]))
 
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected ratio of a pixel's error to its contrast, from changes of (u, v) to the neighbours."""
+    """Return the expected ratio of a pixel's error to the contrast with its neighbours, from changes of (u, v)."""
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)
     below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # Second differences along rows, columns and diagonals measure how uneven the changes of (u, v) are, relative
-    # to the larger first difference.
+    # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger first
+    # difference.
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
@@ -64,27 +65,29 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
 
 @wp.kernel
 def estimate_errors(
-    # In:
+    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
     width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool,
     subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
 
-    Pixels that do not hit the mesh are black, and do not contribute to the contrast of their neighbours.
+    The contrast of a pixel is its largest difference of colour from a neighbour. Pixels that do not hit the mesh do not
+    count as neighbours.
 
     Args:
-        colours: Colours of the pixels, in whole rows.
+        colours: Colours of the pixels of the picture, row by row.
         scattering_vectors: Scattering vectors of the pixels, (u, v, w).
         hit: Whether the pixels hit the mesh.
         width: Number of pixels per row.
-        floor: Least luminance that errors are relative to.
-        bound: Error relative to the colour, or to the floor, above which pixels are subdivided. Below 0, all pixels at
-            the mesh or next to it are subdivided.
-        all_pixels: Whether all pixels are subdivided, also where only cells may hit the mesh.
-        subdivides_silhouettes: Whether pixels at silhouettes of the mesh are subdivided.
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
+        bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh or
+            are next to it are subdivided.
+        all_pixels: Whether all pixels of the picture are subdivided, because cells may hit the mesh although the ray
+            does not.
+        subdivides_silhouettes: Whether pixels are subdivided if the ray of only one of two neighbours hits the mesh.
         first: Index of the first thread's first pixel.
         run: Number of pixels per thread.
         errors_out: Estimated errors; 0 where a pixel does not hit the mesh.
@@ -115,12 +118,12 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                        # Diagonal neighbours have a smaller share of the filter than direct ones, but may be far
+                        # Diagonal neighbours count, too: their share of the pixel filter is small, but they may be far
                         # brighter.
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
-            # Without neighbours that hit the mesh, the contrast is the pixel's own colour.
+            # If no neighbour hits the mesh, the pixel's own colour replaces the contrast.
             contrast2 = wp.length_sq(own)
         weight = wp.float32(1.0)
         if met == 9:
@@ -144,32 +147,32 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Splat the cells of one thread's pixels."""
+    """Add the cells of the pixels from ``begin`` to ``end`` to the sums of nine pixels each."""
 
 
 @wp.kernel
 def splat_cells(
-    # In:
+    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
     level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Splat the cells of pixels: add their filtered colours to the pixel and to the eight pixels around it.
+    """Sum the cells of pixels with the weights of the filter, for each pixel and for the eight pixels around it.
 
     Args:
         colours: Colours of the cells, pixel after pixel and row by row.
         hit: Whether the cells hit the mesh.
-        pixels: The pixels; −1 is no pixel.
-        colours_before: Colours of the picture: by one ray per pixel, or resolved by an earlier group of tiles.
+        pixels: Indices of the pixels; −1 is no pixel.
+        colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
-        weights: Weights of cells along one axis for the middle one of three pixels, (3 · 2ⁿ,).
-        level: The level n of the cells.
+        weights: Weights, along one axis, of the cells of three pixels in a row for the middle pixel, (3 · 2ⁿ,).
+        level: Level n of the cells, of which a pixel has 2ⁿ × 2ⁿ.
         is_base: Whether this is the base level, from whose cells the final level is selected.
-        is_sampled: Whether each cell draws a direction to the light. The scatter then decides about the final level.
+        is_sampled: Whether each cell draws a direction to the light. The final level then depends on the scatter.
         first: Index of the first thread's first entry in ``pixels``.
         run: Number of pixels per thread.
         filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
@@ -191,23 +194,28 @@ def splat_cells(
 
 @wp.struct
 class FilteredSums:
-    """Sums over the cells of tiles, from ``splat_cells``; quadrants and changes are from the base level."""
+    """Sums over the cells of tiles, which ``splat_cells`` writes.
+
+    Quadrants and changes are computed at the base level.
+    """
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # After ``splat_cells``: differences between the means of the cells and the colours by one ray. After
-    # ``select_levels``: estimated errors of 2 × 2 cells. For random samples: standard deviations of the means.
+    # ``splat_cells`` writes the difference between the mean of a tile's cells and the colour by one ray.
+    # ``select_levels`` replaces it by the estimated error of 2 × 2 cells. For sampled lights it is the standard
+    # deviation of the mean.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # For each level, the filter's share in each of three pixels over the sum of the cells' weights in that pixel.
+    # For each level and each of three pixels in a row: integral of the pixel filter over the pixel, divided by the sum
+    # of the weights of its cells.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
 @wp.func
 def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
-    """Return the index in the sums for a pixel of the picture."""
+    """Return the index in the arrays of ``FilteredSums`` for a pixel of the picture."""
     result = pixel
     if ranks.shape[0] > 0:
         result = ranks[pixel]
@@ -219,7 +227,10 @@ def quadrant_at(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return the colour of a quadrant, by row and column in the picture, and 1; zeros if its tile has no level."""
+    """Return the colour of a quadrant and 1; zeros if its pixel is not a tile.
+
+    ``row`` and ``column`` count quadrants of the picture, two per pixel.
+    """
     result = wp.vec4f()
     if row >= 0 and row < 2 * height and column >= 0 and column < 2 * width:
         pixel = (row // 2) * width + column // 2
@@ -231,38 +242,38 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of three colours in a row; 0 if one of them is missing."""
+    """Return the squared second difference of three neighbouring colours; 0 if ``before`` or ``after`` is missing."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
 
 @wp.kernel
 def select_levels(
-    # In:
+    # Inputs of the kernel:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
     tolerance: wp.float32, base: wp.int32, most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Predict how finer cells would change the colours, from second differences, and select the level of each tile.
+    """Select the level of each tile: predict from second differences of colours how much finer cells would change them.
 
     Args:
         sums: Sums over the cells of the base level.
-        tiles: The tiles; empty stands for all pixels of the picture that have a level.
+        tiles: Indices of the pixels that are tiles. If empty, they are all pixels of the picture with a level above 0.
         marks: Marks of the pixels that use cells.
-        colours: Colours of the picture from the cells of the base level.
+        colours: Colours of the picture, resolved from the cells of the base level.
         width: Number of pixels per row.
         height: Number of rows.
-        floor: Least luminance that errors are relative to.
-        tolerance: Largest error of a pixel, relative to its colour or to the floor.
-        base: The base level.
-        most: The finest level.
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
+        tolerance: Largest relative error that pixels may have.
+        base: Base level, whose cells have been shaded.
+        most: Finest level that may be selected.
         silhouette_level: Least level of tiles at silhouettes of the mesh.
         first: Index of the first thread's first entry in ``tiles``.
         run: Number of tiles per thread.
-        changes_out: On input, differences of tiles' means from the colours by one ray. On output, estimated errors
-            ‖ΔXYZ‖ of 2 × 2 cells.
+        changes_out: Before the launch, differences of tiles' means from the colours by one ray. Afterwards, estimated
+            errors ‖ΔXYZ‖ of 2 × 2 cells.
         levels_out: For each pixel of the picture, the level of its tile; 0 is no tile, and remains 0.
     """
     thread, _ = wp.tid()
@@ -270,8 +281,8 @@ def select_levels(
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have set a neighbour's level already. Levels are only compared with 0, and a 0 never
-        # changes.
+        # Other threads may have set a neighbour's level already. This has no effect: levels are only compared with 0
+        # here, and a level of 0 does not change.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
@@ -290,7 +301,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x - 1, width, height), own,
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
-        # The second difference is the root mean square over the quadrants, scaled to the distance of whole pixels.
+        # ``second`` is half the root mean square of the second differences at the four quadrants. The change from the
+        # colour by one ray may be small by chance, and is limited to the range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -310,8 +322,9 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # Here errors are assumed to fall with the square of the number of cells along an axis. ERROR_ORDER, for
-        # reported errors, is more cautious. The level is rounded to the nearest whole number.
+        # For the selection, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
+        # For reported errors, n^−ERROR_ORDER is assumed, which is more cautious. The level is rounded to a whole
+        # number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):
@@ -321,16 +334,17 @@ def select_levels(
 
 @wp.kernel
 def raise_levels(
-    # In:
+    # Inputs of the kernel:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
     tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Raise the levels of tiles at one level until the scatter of their samples is expected to meet the tolerance.
+    """Raise the levels of the tiles at ``level``, so that the scatter of their samples meets the tolerance.
 
-    The arguments are those of :func:`select_levels`; ``colours`` are from all cells up to ``level``.
+    How the scatter decreases is predicted. The arguments are those of :func:`select_levels`. ``colours`` are resolved
+    from the cells of tiles at levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -352,11 +366,13 @@ def raise_levels(
                     need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
                 if levels_out[there] != wp.uint8(0):
                     rank = compact_index(sums.ranks, there)
-                    # Other threads may change ``levels_out`` now. The levels of the sums are constant.
+                    # Neighbours' levels are read from the sums, which do not change here. Other threads may change
+                    # ``levels_out`` now.
                     if sums.levels[rank] == wp.uint8(level):
                         square += share * sums.changes[rank] * sums.changes[rank]
                         count += share
-        # The scatter is a mean over nine tiles, as the few samples of one tile rarely include the brightest directions.
+        # The scatter is averaged over nine tiles. The few samples of one tile rarely include the brightest directions,
+        # so its own scatter is often too small.
         scatter = wp.sqrt(square / wp.max(count, TINY))
         excess = SCATTER_FACTOR * need * scatter / tolerance
         steps = wp.int32(wp.floor(wp.log2(wp.max(excess, 1.0)) + 0.5))
@@ -365,32 +381,32 @@ def raise_levels(
 
 @wp.kernel
 def resolve_pixels(
-    # In:
+    # Inputs of the kernel:
     sums: FilteredSums, pixels: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8), width: wp.int32,
     height: wp.int32, error_order: wp.float32, error_factor: wp.float32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
     coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
     illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Set pixels to weighted sums over the cells of their nine tiles, and estimate their errors.
+    """Set pixels to weighted sums over the cells of nine tiles, their own and the eight around it; estimate errors.
 
     Args:
         sums: Sums over the cells of the tiles.
-        pixels: The pixels that use cells; empty stands for all marked pixels of the picture.
+        pixels: Indices of the pixels that use cells. If empty, they are all pixels of the picture with a mark.
         marks: Marks of the pixels that use cells.
         width: Number of pixels per row.
         height: Number of rows.
-        error_order: Errors of 2 × 2 cells fall with this power of the number of cells along an axis.
-        error_factor: Estimated errors over the root sum of squares over the nine tiles.
+        error_order: Exponent p of the assumption that errors are proportional to n^−p, with n cells along an axis.
+        error_factor: Factor from the root sum of squares of the nine tiles' errors to the estimated error of the pixel.
         first: Index of the first thread's first entry in ``pixels``.
         run: Number of pixels per thread.
-        colours_out: Colours times coverage.
+        colours_out: Colours; where the mesh covers a part of the pixel, the rest counts as black.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Shares of cells that hit the mesh, under the light with the finest cells.
+        coverage_out: Share of each pixel that the mesh covers, from the light for which the cells are finest.
         coverage_levels_out: Sum of the levels of the nine tiles.
-        illuminated_out: Set where any cell has a colour.
-        edges_out: Set where an edge of the mesh or of a shadow passes through an illuminated pixel.
+        illuminated_out: True is written where light reaches some cell.
+        edges_out: True is written where an edge of the mesh or of a shadow passes through an illuminated pixel.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -401,8 +417,9 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If the nine tiles have the same level, one weighted sum over all their cells (``together``) is closer to the
-        # pixel filter. Otherwise each tile has its exact share of the filter (``apart``), which avoids visible steps.
+        # If the nine tiles have the same level, the sum over all their cells is normalised (``together``), which is
+        # closest to the pixel filter. Otherwise the sum over each tile is normalised to the tile's share of the filter
+        # (``apart``): without this, steps between levels would be visible.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)
@@ -427,7 +444,7 @@ def resolve_pixels(
                 weight_apart += share
                 error = share * sums.changes[there] * wp.pow(0.5, error_order * wp.float32(level - 1))
                 square += error * error
-        # Near the edge of the picture, fewer than nine tiles exist, so that the sum is normalised.
+        # Near the edge of the picture, fewer than nine tiles exist. The sum is divided by the sum of their weights.
         total = together / weight_together
         if least != most:
             total = apart / weight_apart
@@ -435,7 +452,8 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = error_factor * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
-        # Coverage must not depend on the order of lights: the finest cells are used, and then the larger coverage.
+        # Lights have cells of different levels. Coverage must not depend on the order of lights: it is that of the
+        # finest cells, or the larger one of two with equally fine cells.
         coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
         before = wp.int32(coverage_levels_out[pixel])
         if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):
@@ -448,10 +466,10 @@ def resolve_pixels(
 
 @wp.kernel
 def accumulate(
-    # In:
+    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), errors: wp.array(dtype=wp.float32), illuminated: wp.array(dtype=wp.bool),
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Add the colours, errors and illuminated pixels of one light to the sums over lights."""

@@ -8,8 +8,9 @@ from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Bins of the histogram of luminances. A bin is a luminance's float32 bits above position ``BELOW``: sign, exponent and
-# seven bits of the fraction. Groups of bins are counted, too, so that one thread can search the bins in few steps.
+# Bins of the histogram of luminances. The index of a bin is the upper half of the float32 bits of a luminance: sign,
+# exponent and seven bits of the fraction. Counts of groups of bins are stored, too, with which one thread finds a
+# percentile in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
@@ -20,9 +21,9 @@ TINY = wp.constant(wp.float32(thresholds.TINY))
 
 @wp.kernel
 def luminance_histogram(
-    # In:
+    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), illuminated: wp.array(dtype=wp.bool), first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     histogram_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """Count illuminated pixels by luminance, in groups of bins and in bins."""
@@ -36,12 +37,12 @@ def luminance_histogram(
 
 @wp.kernel
 def luminance_floor(
-    # In:
+    # Inputs of the kernel:
     histogram: wp.array(dtype=wp.int32),
-    # Out:
+    # Outputs of the kernel:
     floor_out: wp.array(dtype=wp.float32),
 ):
-    """Compute the floor of a picture's relative errors from the histogram, by one thread."""
+    """Compute the floor of relative errors from the histogram of luminances. The kernel runs on one thread."""
     total = wp.int32(0)
     for k in range(GROUPS):
         total += histogram[k]
@@ -54,21 +55,21 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The luminance in the middle of a bin represents the bin.
+    # The percentile is the luminance in the middle of its bin.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
 
 @wp.kernel
 def count_marks(
-    # In:
+    # Inputs of the kernel:
     marks: wp.array(dtype=wp.uint8),
     first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the marked pixels."""
+    """Count the pixels whose mark is not 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks[i] != wp.uint8(0):
             atomic_increment(counts_out, 0)
@@ -76,13 +77,13 @@ def count_marks(
 
 @wp.kernel
 def running_max(
-    # In:
+    # Inputs of the kernel:
     counts: wp.array(dtype=wp.int32),
     begins: wp.bool,
-    # Out:
+    # Outputs of the kernel:
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if ``begins``, otherwise to the larger of the count and the previous output."""
+    """Replace the output by a count if the count is larger, or in any case if ``begins``."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -102,13 +103,13 @@ def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int
 
 @wp.kernel
 def dilate_marks(
-    # In:
+    # Inputs of the kernel:
     marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, level: wp.uint8, first: wp.int32,
     run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Set a level for marked pixels and their eight neighbours, and 0 for all other pixels."""
+    """Set the level of marked pixels and of their eight neighbours to ``level``, and that of all other pixels to 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         is_near = marks_around(marks, i, width, height)[1] != wp.uint8(0)
         levels_out[i] = wp.where(is_near, level, wp.uint8(0))
@@ -116,12 +117,12 @@ def dilate_marks(
 
 @wp.kernel
 def mark_shared(
-    # In:
+    # Inputs of the kernel:
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark unmarked pixels as ``SHARED`` if their own tile and the eight tiles around it have cells."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but it and its eight neighbours all have a level."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -129,12 +130,15 @@ def mark_shared(
 
 @wp.kernel
 def compact_level(
-    # In:
+    # Inputs of the kernel:
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels of a level, in arbitrary order, as tiles do not depend on each other."""
+    """List the pixels that have the given level.
+
+    Their order is arbitrary, because tiles do not depend on each other.
+    """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if levels[i] == level:
             pixels_out[atomic_increment(counts_out, 0)] = i
@@ -142,13 +146,16 @@ def compact_level(
 
 @wp.kernel
 def copy_batch(
-    # In:
+    # Inputs of the kernel:
     pixels: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32), copied: wp.array(dtype=wp.int32),
     first: wp.int32, run: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Copy the next pixels of a list to a batch; remaining entries of the batch are −1."""
+    """Copy the next pixels of a list to a batch.
+
+    If the list is too short, the remaining entries of the batch are −1.
+    """
     for k in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         place = copied[0] + k
         pixels_out[k] = -1
@@ -158,14 +165,14 @@ def copy_batch(
 
 @wp.kernel
 def advance_batch(
-    # In:
+    # Inputs of the kernel:
     counts: wp.array(dtype=wp.int32),
     count: wp.int32,
-    # Out:
+    # Outputs of the kernel:
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Add to the number of copied pixels, and report whether any pixels remain."""
+    """Increase the number of copied pixels by ``count``, and store whether pixels of the list remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

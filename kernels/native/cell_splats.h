@@ -1,5 +1,5 @@
-// Splatting of subpixel cells. The cells of a subdivided pixel are summed with the weights of the pixel filter, for
-// that pixel and for its eight neighbours.
+// Splatting of subpixel cells: each cell is added to its pixel and to the eight pixels around it, with the weights of
+// the pixel filter.
 
 #pragma once
 
@@ -7,12 +7,12 @@
 
 namespace warpdiff {
 
-// Bits that describe the cells of a pixel: at least one cell is illuminated (LIT), is dark (UNLIT), or does not hit the
-// mesh (MISSED).
+// Bits that describe the cells of a pixel. Each is set if at least one cell is illuminated (LIT), hits the mesh but is
+// dark (UNLIT), or does not hit the mesh (MISSED).
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
-// Largest number of blocks of cells along each axis of a pixel. The scatter of a pixel is estimated from the means of
-// its blocks. Limit: size of local arrays.
+// The scatter of a pixel is estimated from means over blocks of its cells. This is the largest number of blocks along
+// an axis. Limit: size of local arrays.
 constexpr int BLOCKS = 4;
 
 // Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` has the sum of colours times weights, and the sum
@@ -23,7 +23,8 @@ struct CellSums {
     int across, cells; // number of blocks along an axis, number of cells per block
     unsigned char lighting = 0;
 
-    // Compute the mean colour of one of the four quadrants of the pixel, from its row and its column (0 or 1).
+    // Compute the mean colour of one of the four quadrants of the pixel. The row and the column of the quadrant are 0
+    // or 1.
     WARPDIFF_INLINE void quadrant(int row, int column, float* mean) const
     {
         const int half = across / 2;
@@ -36,7 +37,7 @@ struct CellSums {
     }
 
     // Return the estimated standard deviation ‖ΔXYZ‖ of the pixel's mean colour. The means of the blocks count as
-    // independent samples. Cells that hit nothing do not count as random.
+    // independent samples. Cells that hit nothing are black without noise, and do not contribute.
     WARPDIFF_INLINE float scatter() const
     {
         float total[4] = {}, square = 0.0f;
@@ -57,8 +58,9 @@ struct CellSums {
     }
 };
 
-// Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of cells along one axis for the
-// previous, the same and the next pixel. `is_sampled` states whether the colours are random samples.
+// Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of the cells along one axis: first
+// for the previous pixel, then for their own and for the next one. `is_sampled` states whether each cell has drawn a
+// random direction to the light.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
@@ -75,8 +77,8 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // A black random sample does not prove that the cell is dark: another sample of the same cell may be
-            // bright.
+            // With a random direction, a black colour does not prove that the cell is dark: light from another
+            // direction may reach it.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const block = sums.blocks[row / per_block][column / per_block];
             for (int c = 0; c < 4; ++c) block[c] += value[c];
@@ -90,9 +92,9 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Sum the cells of the subdivided pixels from `begin` to `end` and store the sums; the index −1 marks no pixel. For
-// random samples, `changes_out` receives the scatter of the cells. At the base level it receives the change from the
-// previous colour, and `quadrants_out` the mean colours of the quadrants.
+// Sum the cells of the subdivided pixels from `begin` to `end` and store the sums; the index −1 marks no pixel. If
+// directions to the light are random, the scatter is stored in `changes_out`. Otherwise, and only at the base level,
+// the change from the previous colour is stored there, and the mean colours of the quadrants in `quadrants_out`.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

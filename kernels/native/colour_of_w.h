@@ -1,5 +1,5 @@
-// Conversion of a sum of colour table rows to XYZ. All rows share the same basis functions of w. The zeroth order is
-// added separately, because the rows exclude it.
+// Conversion of a weighted sum of rows of a colour table to XYZ. All rows share the same basis functions of w. The
+// zeroth order is added separately, because the rows exclude it.
 
 #pragma once
 
@@ -7,8 +7,8 @@
 
 namespace warpdiff {
 
-// Cubic interpolation in the table of basis functions, which has equal steps in |w|. Each of N pixels has the index of
-// the first of four entries and the weights of these entries.
+// Cubic interpolation in the table of the basis functions of w, which has equal steps in |w|. For each of N pixels,
+// four consecutive entries are used: the index of the first one and the four weights are stored.
 template <int N>
 struct AtW {
     Batch<N, int> entry;
@@ -54,8 +54,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Add the colour of a sum of rows, multiplied by `share`, to pixel i. Negative values are clipped to 0, because
-// projected colour curves have shallow negative lobes.
+// Convert a sum of rows to a colour, and add it to pixel i, multiplied by `share`. The sum may be slightly negative,
+// because the weights of rings have small negative values. Negative colours count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -64,9 +64,9 @@ WARPDIFF_INLINE void add_colour(
     for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * wp::max(colour.xyz[c], 0.0f);
 }
 
-// Add the XYZ of the zeroth order, which is the reflection at the mean plane, of one pixel. At each wavelength its lobe
-// is a Gaussian, widened by the covariance (xx, xy, yy) of (u, v). `source2` is the square root of the determinant of
-// the light source's covariance.
+// Add the XYZ of the zeroth order, which is the reflection at the mean plane, of one pixel. At each wavelength it is a
+// Gaussian around (u, v) = 0, widened by the covariance (xx, xy, yy) of the footprint. `source2` is the square root of
+// the determinant of the light source's covariance, or 0 without a source.
 template <class Table>
 WARPDIFF_INLINE void add_zeroth_order(
     const Table& table, float u, float v, float w, float xx, float xy, float yy, float source2, float gain, float* xyz)

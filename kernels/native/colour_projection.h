@@ -1,5 +1,5 @@
-// Projection of the power spectrum to the colours of a table. The spectrum is given as rows along azimuths. A few
-// azimuths are processed together.
+// Computation of the colours in a table from the power spectrum: integrals over λ become weighted sums over rings. The
+// spectrum is given as one row per ring along azimuths. A few azimuths are processed together.
 
 #pragma once
 
@@ -8,8 +8,7 @@
 
 namespace warpdiff {
 
-// Buffer for the `length` spectrum rows from which the colours along one azimuth are computed, in the order of their
-// rings.
+// Buffer of `length` rows, one per ring, of the spectrum along one azimuth, from which the colours are computed.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
@@ -26,7 +25,8 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows halfway between two azimuths, by the Lagrange polynomial through four azimuths on either side.
+// Interpolate the rows of all rings halfway between two azimuths, by the Lagrange polynomial through four azimuths on
+// each side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -46,10 +46,10 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// Join the spectrum rows from which colours along AZIMUTHS azimuths are computed, `length` rows per azimuth. The first
-// row is black and represents the ring before the octave. The rows of the octave, of the next octave and of the
-// beginning of the octave after that follow. An octave may have half as many azimuths as the next one; its missing
-// azimuths are interpolated.
+// Collect the rows from which colours along AZIMUTHS azimuths are computed, `length` rows for each. The first row is
+// zero; it represents the ring before the octave. The rows of the octave, of the next octave, and if necessary of the
+// octave after that follow. An octave may have half as many azimuths as the next one. The azimuths between are then
+// interpolated.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>
 WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& azimuths_of, int rings,
     int octave, int first_azimuth, Values& sequence, int at, int length)
@@ -60,8 +60,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     const int* const counts = numbers<const int>(azimuths_of);
     const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
     const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
-    // With few rings per octave, two octaves have fewer rows than the filter to spline coefficients requires. A third
-    // octave then supplies the remaining rows.
+    // With few rings per octave, the rows of two octaves are fewer than the spline filter requires. The remaining rows
+    // are those of a third octave.
     const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
     auto rows_of_azimuth = [&](int of, int azimuth) {
@@ -82,8 +82,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     }
 }
 
-// Replace the rows of one azimuth by the coefficients of the quadratic spline that passes through them. The recursive
-// filter runs forwards and then backwards.
+// Replace the rows along one azimuth by the coefficients of the quadratic spline that passes through their values. The
+// recursive filter runs forwards and then backwards.
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
@@ -101,8 +101,8 @@ WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows,
     }
 }
 
-// Layout of the W_BASIS_SIZE coefficients, one for each basis function of w, in SIMD vectors. The last vector may
-// overlap the one before it.
+// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w, into SIMD vectors. The last vector
+// may overlap the one before it.
 template <int W_BASIS_SIZE>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
@@ -115,9 +115,9 @@ struct FunctionVectors {
     }
 };
 
-// Compute the colour coefficients of one ring on AZIMUTHS azimuths as weighted sums over `taps` spectrum rows. A
-// matrix, the same for all azimuths, converts the terms of a row to coefficients of the basis functions of w. The
-// colour curves are the weights of the rows. Azimuths are `apart` floats from each other in memory.
+// Compute the colour at one ring on AZIMUTHS azimuths as a weighted sum over `taps` rows of the spectrum. For each row
+// there is a matrix, the same for all azimuths, from the terms of the row to coefficients of the basis functions of w.
+// The weights of the rows for X, Y and Z are in `colour`. Azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -156,8 +156,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Compute colours along AZIMUTHS azimuths from `length` spectrum rows per azimuth. The first `skipped` rows lie before
-// the first ring.
+// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum for each. The first ring at which a colour
+// is computed is that of row number `skipped`.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

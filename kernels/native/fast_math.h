@@ -38,7 +38,7 @@ struct LogPolar {
     float turns; // angle [turns], from 0 to 1
 };
 
-// Convert a point (u, v) to logarithmic polar coordinates. Radii below `least` are replaced by `least`.
+// Convert a point (u, v) to its angle and the logarithm of its radius. Radii below `least` are replaced by `least`.
 WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
 {
     // The squared radius is a power of two times m, and m lies between √½ and √2. The logarithm of m is a series in (m
@@ -48,7 +48,7 @@ WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
     const float m = float_of((above & 0x7fffff) + 0x3f3504f3);
     const float s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
     const float series_of_m = 1.0f + s2 * (1.0f / 3.0f + s2 * (0.2f + s2 * (1.0f / 7.0f)));
-    // The angle is the series of the arc tangent, for arguments within 1/16 turn.
+    // The angle is computed by the series of the arc tangent, after reduction to at most 1/16 turn.
     const float x = u < 0.0f ? -u : u, y = v < 0.0f ? -v : v;
     const float more = x > y ? x : y, less = x > y ? y : x;
     const bool beyond = less > 0.41421356f * more;
@@ -97,7 +97,7 @@ WARPDIFF_INLINE float exp_of_minus_small(float t)
     return 1.0f - t * (1.0f - t * (0.5f - t * (1.0f / 6.0f - t * (1.0f / 24.0f))));
 }
 
-// Return exp(16 x) as the 16th power of a series of degree four, for x between −0.3 and 0.
+// Return exp(16 x), for x between −0.3 and 0, as the 16th power of exp(x), which is a series of degree four.
 WARPDIFF_INLINE float exp_of_sixteenfold(float x)
 {
     float result = 1.0f + x * (1.0f + x * (0.5f + x * (1.0f / 6.0f + x * (1.0f / 24.0f))));

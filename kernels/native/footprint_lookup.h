@@ -1,10 +1,10 @@
 // Mean colours over footprints from a colour table and its mip levels. A footprint is a Gaussian of (u, v).
 //
-// A batch of pixels is processed stage by stage. A footprint usually is one part. It is split into several parts where
-// the direction of (u, v) turns within it. The colour of a part is a weighted sum of rings, and segments of rings lie
-// in one octave each. A ring is a weighted sum of azimuths on the widest mip level whose blur does not exceed the
-// footprint's blur. Arrays carry the results from stage to stage, so that loops are vectorised and no pixel waits for
-// another pixel's branches. A GPU thread processes one pixel, part and segment at a time.
+// A footprint is usually one part. It is split into several parts if the polar angle of (u, v) changes much within it.
+// The colour of a part is a weighted sum over rings. Rings are processed in segments, each within one octave. The
+// colour at a ring is a weighted sum over azimuths, on the widest mip level whose blur does not exceed that of the
+// footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that compilers
+// vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
 
 #pragma once
 
@@ -15,25 +15,28 @@
 
 namespace warpdiff {
 
-// Number of pixels or parts that a vectorised loop processes at a time. Loops always run for whole batches, because
-// compilers round differently in the remainder after the last full vector.
+// Number of pixels or parts that a vectorised loop processes at a time. Loops always process a multiple of this number.
+// Otherwise the compiler would round differently for the last few elements, which do not fill a vector.
 constexpr int ABREAST = batch_of(8);
-// Largest number of rings per segment. A GPU has no limit, because it does not store the rings.
+// Largest number of rings per segment. Limit: on the CPU, weights and rows of all rings are stored in local arrays. A
+// GPU does not store them.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Standard deviation, relative to |(u, v)|, from which a footprint under a window is summed over rings (`ring_sum.h`).
-// Fitted: 0.15 makes frames 5 to 10 % slower.
+// Standard deviation relative to |(u, v)| from which `ring_sum.h` computes the colour of a footprint. Only tables for a
+// window use it. Fitted: 0.15 makes frames 5 to 10 % slower.
 constexpr float WIDE = 0.25f;
-// `MOST_TURN` is the standard deviation of the angle [rad] above which a footprint is split into parts; the parts are
-// treated as straight. A footprint of a light source above `WIDEST_ANGLE` [rad] or `WIDEST_RATIO` (of ln |(u, v)|)
-// surrounds the mirror direction, so that larger values are clamped.
+// `MOST_TURN` is the standard deviation of the polar angle [rad] above which a footprint is split into parts. In each
+// part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for the
+// standard deviations of the angle and of ln |(u, v)|. Wider footprints surround the mirror direction, and polar
+// coordinates do not describe them.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// Up to the variance `MOST_TABULATED` [rings²], rings have tabulated weights; above it, their weights are values of the
-// Gaussian. `MOST_APART` bounds the distance of the rings relative to the scale on which colours vary. `CURVES` is the
-// standard deviation of the narrowest colour curve in ln λ.
+// Up to the variance `MOST_TABULATED` [rings²] of a blur, the weights of rings are tabulated. For larger variances,
+// they are values of the Gaussian. Wide blurs do not require all rings: `MOST_APART` is the largest spacing of the
+// rings that are added, relative to the narrowest feature of colours and blur. `CURVES` is the standard deviation of
+// the narrowest colour curve in ln λ.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Truncated Gaussian for wide blurs across rings. It extends `deviations` standard deviations to either side. Before
-// truncation its variance is 1/`per_variance`, so that its variance after truncation is 1.
+// Gaussian for wide blurs across rings, truncated `deviations` standard deviations from its centre. Its variance before
+// truncation is 1/`per_variance`, which is larger than 1, such that the variance after truncation is 1.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -50,7 +53,7 @@ struct Footprints {
     AtW<N> at_w;
 };
 
-// Parts of the footprints of several pixels, with their positions and blurs in the table.
+// Parts of the footprints of several pixels. Each has a position in the table, and blurs across rings and azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -66,15 +69,15 @@ template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // `position` is the azimuth of the part's centre. `turning` times 1 − 1/ρ is the shift of azimuth at a ring with ρ
-    // times the radius. `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|, and `behind` is
-    // the distance of that mean from the centre. `blur` is the blur at the centre and `level_blur` that of the mip
-    // level, in steps of the table of tap weights.
+    // `position` is the azimuth of the part's centre. At a ring with ρ times the radius of the centre, the azimuth is
+    // shifted by `turning` · (1 − 1/ρ). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
+    // `behind` is the difference of that mean from ln |(u, v)| at the centre. `blur` is the variance in angle at the
+    // centre and `level_blur` that of the mip level, both as indices of the table of weights.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows that are summed for one ring: index of the first row, number of rows, and index of their first weight.
+// Rows that are added for one ring, one per azimuth: index of the first row, number of rows, index of the first weight.
 struct RingRows {
     int row, count, taps;
 };
@@ -83,8 +86,8 @@ struct PolarCovariance {
     float angle_u, angle_v, angle2, ratio2, both;
 };
 
-// Convert a covariance of (u, v) to the covariance of the angle and of ln |(u, v)|. Radii below the width of the
-// narrowest lobe are increased to about that width.
+// Convert a covariance of (u, v) to the covariance of its polar angle and of ln |(u, v)|. Near the mirror direction,
+// radii are increased to about the width of the lobe of an order.
 template <class Table>
 WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -121,7 +124,7 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
-// Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each.
+// Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each footprint.
 template <bool SOURCE, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
@@ -142,7 +145,8 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
             pixels.angle2[i] = polar.angle2;
             pixels.ratio2[i] = polar.ratio2;
             pixels.both[i] = polar.both;
-            // The centres of a footprint's parts lie along the change of (u, v) that is correlated with the angle.
+            // The centres of a footprint's parts lie on a line through its centre, in the direction of the covariance
+            // of (u, v) with the polar angle.
             const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
             pixels.along_u[i] = polar.angle_u * per_whole;
             pixels.along_v[i] = polar.angle_v * per_whole;
@@ -151,9 +155,9 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
         }
 }
 
-// Return whether the table cannot serve a pixel under a light source. It cannot where the source blurs less than the
-// rows are already blurred, and near the mirror direction. `cut` is the share of the variance of the angle that the
-// parts represent, and `within` is the remaining share.
+// Return whether the table of a light source cannot serve a pixel. It cannot near the mirror direction, and where the
+// blur by the source is narrower than the blur that the rows already have. `cut` is the share of the angle's variance
+// that the distances of the parts represent. `within` is the remaining share, the variance within a part.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -169,7 +173,7 @@ WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels
         < within * within * both * both;
 }
 
-// Return whether a footprint is wide compared with |(u, v)|, so that it is summed over rings (`ring_sum.h`).
+// Return whether a footprint is wide compared with |(u, v)|. Colours of such footprints are computed by `ring_sum.h`.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, int i)
 {
@@ -177,13 +181,14 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// Indices of the pixel and of the part of its footprint that are processed next.
+// Index of the pixel that is processed next, and index of the next part of its footprint.
 struct NextPart {
     int pixel, part;
 };
 
-// Fill a batch with the next parts of footprints: their (u, v), covariances and shares of the pixel's colour. The
-// zeroth order and wide footprints are added to the pixels directly.
+// Fill a batch with the next parts of footprints: their (u, v), covariances and shares of the pixel's colour. Pixels
+// with wide footprints get no parts: their colours are computed and added here. The zeroth order is added here for all
+// pixels.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -223,7 +228,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         parts.ratio2[k] = pixels.ratio2[i];
         parts.both[k] = pixels.both[i];
         if (all > 1) {
-            // The remaining covariance of a part is converted to polar coordinates at the (u, v) of that part.
+            // The covariance within a part is converted to polar coordinates at the (u, v) of that part.
             const PolarCovariance polar =
                 to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
                     pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
@@ -257,34 +262,34 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2, 1.0e-12f)), 1.0f);
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
-            // The mean of ln |(u, v)| is computed to second order, because points off the axis have a larger radius.
+            // The mean of ln |(u, v)| over a Gaussian differs from its value at the centre. It is computed to second
+            // order.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The part of the angle that is correlated with ln |(u, v)| shifts the azimuth from ring to ring. The
-            // remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance of ¼
-            // rings².
+            // The angle may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring. The remaining
+            // variance of the angle blurs each ring. The quadratic spline between rings adds a variance of ¼ rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
             parts.aside2[k] = larger(angle2 - parts.turn_per_ring[k] * both * per_log, 0.0f);
             parts.deviation[k] = deviation;
-            // The skew is a sixth of the third moment of ln |(u, v)| in standard deviations: smaller radii extend
-            // further on a logarithmic scale. The angle's contribution to the third moment is ignored, as it does not
-            // hold for azimuths on a straight line.
+            // The distribution of ln |(u, v)| is skewed: on a logarithmic scale, smaller radii are farther away. The
+            // skew is a sixth of the third moment, in standard deviations. The contribution of the angle to the third
+            // moment is ignored, because it would be wrong for a straight footprint.
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
 
-// Select the rings that each part sums: first and last index, spacing and weights.
+// Select the rings over which each part is summed: their first and last index, spacing and weights.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // This loop only reads a table. It is separate, because compilers do not vectorise loops with indexed reads and
+    // Reads at computed indices are in a loop of their own, because compilers do not vectorise loops that have them and
     // several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
@@ -292,8 +297,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // Under a window, the blur between azimuth samples adds the spacing of the samples. Tables of a light
-            // source need no addition, because their lines were blurred by the spacing when the table was made.
+            // The colours are smooth over at least the spacing of azimuth samples. In tables for a window, this spacing
+            // is added to the blur. In tables of a light source, the lines are already blurred by it.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -313,8 +318,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // The index of the first ring is a multiple of the ring spacing, so that neighbouring pixels use the same
-            // rings.
+            // If rings are skipped, the index of the first one is a multiple of the spacing, so that neighbouring
+            // pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -322,12 +327,12 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Indices of the part of a footprint and of its ring that are processed next.
+// Index of the part of a footprint that is processed next, and index of its next ring.
 struct NextRing {
     int part, ring;
 };
 
-// Fill a batch with the next segments of rings.
+// Fill a batch with the next segments: consecutive rings of a part within one octave.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -350,7 +355,7 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select the mip level of each segment, and compute its azimuth, blur and first row on that level.
+// Select the mip level of each segment. Compute the azimuth, the blur in angle and the first row on that level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -362,7 +367,7 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
             // Select the widest mip level whose blur does not exceed that of the footprint; each level has twice the
-            // blur of the one before. The taps across azimuths add the remaining blur.
+            // blur of the one before. Weights of several azimuths add the remaining blur.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -383,7 +388,7 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of a segment's m-th ring by the Gaussian with its skew, up to a constant factor.
+// Return the weight of a segment's m-th ring: the value of the skewed Gaussian, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -392,9 +397,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint at a segment's m-th ring, and the remaining blur in steps of the table of tap
-// weights. A straight footprint has the same width at all rings, so that its angular width decreases with the radius.
-// The angle of its axis decreases with the radius for the same reason.
+// Compute the azimuth of the footprint at a segment's m-th ring, and the index of the remaining blur in the table of
+// weights. The width of a footprint in (u, v) is the same at all rings. Its angular width is therefore inversely
+// proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -406,7 +411,7 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return the `count` rows around an azimuth of a segment's m-th ring, and the index of their weights.
+// Return which `count` rows around an azimuth are added for a segment's m-th ring, and the index of their weights.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -425,8 +430,8 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Rows and weights of the rings of segments. The CPU stores those of whole batches. A GPU computes them when a ring is
-// summed.
+// Rows and weights of the rings of segments. On the CPU, they are stored for a whole batch before any ring is summed. A
+// GPU computes those of a ring when it sums the ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -476,7 +481,7 @@ struct SegmentRings {
     }
 };
 
-// Sum the rows of segments. Where a part ends, convert its sum to a colour and add it to the pixel.
+// Sum the rows of segments. After the last segment of a part, convert the sum to a colour and add it to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)
@@ -508,8 +513,8 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
     }
 }
 
-// Add mean XYZ, multiplied by the gains, over the footprints of the scattering vectors from `begin` to `end`, at most
-// BATCH. With `SOURCE`, the means include the extent of the light source.
+// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times their gains. Each XYZ is a mean
+// over the footprint, and with `SOURCE` also over the light source.
 //
 // Directions that the table of a light source cannot serve are skipped. Their gains are stored in `unserved_gain`,
 // which is 0 for all other directions.

@@ -1,5 +1,5 @@
-// Footprints of pixels: first-order changes of (u, v) by ray differentials (Igehy 1999) on the face that the camera ray
-// hits.
+// Footprints of pixels: first-order changes of (u, v), by ray differentials (Igehy 1999) on the face that the camera
+// ray hits.
 
 #pragma once
 
@@ -14,8 +14,8 @@ struct FootprintLimits {
     float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
 };
 
-// Displacements in the picture plane by one standard deviation of the pixel filter, to the right and downwards, with
-// the eye and the backward axis of the camera.
+// Displacements of a camera ray in the picture plane, by one standard deviation of the pixel filter to the right and
+// downwards. The eye and the backward axis of the camera are stored, too.
 struct FilterSteps {
     float step[2][3], back[3], eye[3];
     bool perspective;
@@ -95,15 +95,15 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
     face.slide1 = dot(face.view, face.of_share1) * per_facing;
     face.slide2 = dot(face.view, face.of_share2) * per_facing;
-    // Convert unit lengths of the picture plane to changes of the view direction (`per_unit`) and to distances on the
-    // mesh (`scale`).
+    // Compute factors from lengths in the picture plane to changes of the view direction (`per_unit`) and to distances
+    // near the hit point (`scale`).
     face.per_unit = filter.perspective ? dot(face.view, filter.back) : 0.0f;
     face.scale = (filter.perspective ? face.per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
     return face;
 }
 
-// Compute the changes of (u, v) for the displacements along both picture axes. The shading frame rotates with the
-// normal, and about the normal with the tangent.
+// Compute the changes of (u, v) for the displacements along both picture axes. The shading frame also changes: the
+// normal is interpolated between the corners of the face, and so is the tangent.
 template <int N>
 WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
     bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)
@@ -129,13 +129,14 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         const float along = dot(face.view, step), through = dot(face.across, step);
         const float share1 = face.scale * (dot(face.of_share1, step) - face.slide1 * through);
         const float share2 = face.scale * (dot(face.of_share2, step) - face.slide2 * through);
-        // Changes of the view direction along the three axes of the shading frame.
+        // Components of the change of the view direction along the three axes of the shading frame.
         const float t_turn = -face.per_unit * (dot(t, step) - along * t_view);
         const float b_turn = -face.per_unit * (dot(b, step) - along * b_view);
         const float n_turn = -face.per_unit * (dot(n, step) - along * n_view);
         float of_t = per_length * (share1 * t_normal1 + share2 * t_normal2);
         float of_b = per_length * (share1 * b_normal1 + share2 * b_normal2);
-        // A normal that was rotated towards the viewer has a constant angle with the view direction.
+        // Where the shading normal was rotated towards the viewer, its angle with the view direction remains constant.
+        // The change of the normal in the plane of both directions is then that of the view direction.
         const float of_cosine = clamped * (of_t * t_view + of_b * b_view + n_turn);
         of_t -= of_cosine * t_view;
         of_b -= of_cosine * b_view;
@@ -145,7 +146,7 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
     }
 }
 
-// Compute the footprints of the rays from `begin` to `end`, for a pixel filter with the standard deviation `deviation`
+// Compute the footprints of the rays from `begin` to `end`; `deviation` is the standard deviation of their filter
 // [pixels].
 template <int BATCH, class Camera, class Surface, class Pixels, class ScatteringVectors, class Footprints>
 WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surface, const Pixels& pixels,

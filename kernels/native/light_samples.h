@@ -1,4 +1,5 @@
-// Scattering vectors, directions to the light and gains of pixels, and sums over several samples of these.
+// Scattering vectors, directions to the light and gains of pixels. Coverage and illumination are also added over
+// samples.
 
 #pragma once
 
@@ -7,8 +8,8 @@
 
 namespace warpdiff {
 
-// Sums per pixel over several samples: XYZ, coverage and illumination. A new sum starts from 0; otherwise values are
-// added to the previous sums.
+// Sums per pixel over several samples: XYZ, coverage and illumination. With `resets_xyz` or `resets_coverage`, sums
+// start again from 0; otherwise values are added to the present sums.
 struct SumsOfPixels {
     float* xyz;
     double* coverage;
@@ -37,8 +38,8 @@ struct LightPlace {
     }
 };
 
-// Shading frames, view directions and light directions of N pixels. Entries of pixels that do not hit the mesh, and
-// after the last pixel, are arbitrary.
+// Shading frames, view directions and light directions of N pixels. Entries are arbitrary if a pixel does not hit the
+// mesh, or if there are fewer than N pixels.
 template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
@@ -65,9 +66,9 @@ struct ScatteringBatch {
     }
 };
 
-// Return the factor between ⟨|P|²⟩ and the reflectance distribution ρ (Single 2014, eq. 3.15), times Schlick's Fresnel
-// reflectance relative to normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed without
-// cancellation.
+// Return the gain: the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), times Schlick's reflectance relative to
+// normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, as no
+// nearly equal numbers are then subtracted.
 WARPDIFF_INLINE double gain_of(
     double u, double v, double w, double cos_i, double cos_r, double beyond_normal, bool masking, bool per_cosine)
 {
@@ -88,8 +89,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
     for (int i = 0; i < N; ++i) {
-        // The shading frame is stored in float32. The directions to the light and to the viewer are normalised again,
-        // so that the mirror direction is exact.
+        // The shading frame is stored in float32, and directions expressed in it do not have unit length. They are
+        // normalised again: otherwise (u, v) would not be 0 in the mirror direction.
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
@@ -118,8 +119,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
 }
 
 // Compute the scattering vectors, light directions and gains of the pixels from `begin` to `end`. Each pixel that hits
-// the mesh gets a scattering vector, also in shadow, because neighbouring pixels use it to find the change of (u, v).
-// `counted` is added to the coverage of these pixels.
+// the mesh gets a scattering vector, even in shadow, because error estimates of neighbouring pixels compare it with
+// their own. `counted` is added to the coverage of these pixels.
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,

@@ -1,4 +1,4 @@
-// Data of a batch of pixels and of the faces that their rays hit, one array per component.
+// Hits of a batch of pixels, with the corners of the faces that are hit; one array per component of a vector.
 
 #pragma once
 
@@ -14,7 +14,7 @@ struct PixelBatch {
     Batch<N> to_view[3];
 
     // Load the `count` pixels from the index `from` on. Pixels that hit nothing, and entries after the last pixel, get
-    // the corners of an arbitrary face and otherwise zeros.
+    // the corners of an arbitrary face. Their other values are 0.
     template <class Surface, class Pixels>
     WARPDIFF_INLINE void load(const Surface& surface, const Pixels& pixels, int from, int count)
     {

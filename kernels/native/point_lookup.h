@@ -20,7 +20,8 @@ struct Points {
     Batch<N, int> first_ring, octave;
 };
 
-// Compute the positions of all N points in the table. The loop has a fixed length, so that compilers vectorise it.
+// Compute the positions of N points in the table. Unused entries are computed, too: compilers vectorise a loop of fixed
+// length.
 template <int N, class Table>
 WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 {
@@ -47,7 +48,8 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Compute the addresses of the table rows of a point. On the CPU, prefetch these rows if the point is illuminated.
+// Compute the addresses of the table rows for a point. On the CPU, begin to fetch them from memory if the point is
+// illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {
@@ -78,7 +80,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 #pragma unroll
     for (int m = 0; m < 3; ++m) {
         if (m == left) {
-            // The ring lies in the next octave of the table, which has a different number of azimuths.
+            // This ring is in the next octave of the table, which has another number of azimuths.
             float aside;
             first = row_at<WIDTH>(table, points.turns[i], points.first_ring[i], points.octave[i] + 1, aside);
             quadratic_spline(aside, azimuth_weights);
@@ -95,8 +97,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by their gains.
 //
-// Rows are prefetched AHEAD directions before their use. Prefetching more would evict rows from the first-level cache,
-// because rows that are a page apart share cache sets.
+// While one direction is looked up, the rows for the direction AHEAD indices later are fetched from memory. With a
+// larger distance, rows would be evicted from the first-level cache before their use.
 template <int W_BASIS_SIZE, int BATCH, int AHEAD, class Table, class ScatteringVectors, class Gains, class Colours>
 WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors& scattering_vectors, const Gains& gains,
     int begin, int end, Colours& xyz_out)

@@ -1,4 +1,4 @@
-// Intersections of camera rays with faces that are already known to be the nearest.
+// Hits of camera rays, computed from the nearest face of each ray, which is already known.
 
 #pragma once
 
@@ -15,7 +15,7 @@ struct KnownHits {
     Batch<N, double> right = {}, down = {};
 };
 
-// Corners of the faces of a batch, and the results: direction to the viewer and barycentric coordinates.
+// Corners of the faces that a batch of rays hits, and the results: direction to the viewer and barycentric coordinates.
 template <int N>
 struct Intersections {
     Batch<N> corner[3][3], to_view[3], share[2];
@@ -33,8 +33,9 @@ WARPDIFF_INLINE void load_corners(const Surface& surface, const KnownHits<N>& hi
     }
 }
 
-// Compute the barycentric coordinates of hits by the method of Möller and Trumbore, clamped to the face, and the
-// directions to the viewer. The computation uses float64, because the eye may be thousands of mesh radii away.
+// Compute the barycentric coordinates of hits by the method of Möller and Trumbore, and the directions to the viewer.
+// Hits outside of the face by rounding are moved to its edge. The computation uses float64, because the eye may be
+// thousands of mesh radii away.
 template <int N, class Camera>
 WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, Intersections<N>& intersections)
 {

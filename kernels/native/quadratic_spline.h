@@ -9,8 +9,8 @@ namespace warpdiff {
 // Pole of the recursive filter that converts samples to coefficients of the spline through them. Derived: 2√2 − 3.
 constexpr float SPLINE_POLE = -0.171572875f;
 
-// Compute the spline weights of three neighbouring coefficients, for a point at a distance `away` from the middle one,
-// in sample spacings.
+// Compute the weights of three neighbouring coefficients of the spline, for a point at the distance `away` from the
+// middle one, in sample spacings.
 WARPDIFF_INLINE void quadratic_spline(float away, float* weights)
 {
     weights[0] = 0.5f * (0.5f - away) * (0.5f - away);

@@ -1,6 +1,6 @@
-// Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face then tests the
-// rays of the pixels that it may cover, or the cells of subdivided pixels in batches. Only the CPU uses this file; a
-// GPU traces rays through a hierarchy.
+// Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face is then tested
+// against the rays of the pixels that it may cover, or against batches of cells of subdivided pixels. Only the CPU uses
+// this file; a GPU traces rays through a hierarchy.
 
 #pragma once
 
@@ -19,12 +19,12 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 #else
 
-// Number of grid steps per pixel for the projected corners. Derived: products of grid coordinates are then exact in
-// float64, so that adjacent faces leave no gap.
+// Projected corners are rounded to this number of steps per pixel. Derived: with 2^14, products of positions are exact
+// in float64, and no ray passes between two adjacent faces.
 constexpr double PER_PIXEL = 1 << 14;
-// Distance of the near plane from the eye [radii of the mesh]. Faces are clipped at the near plane.
+// Distance of the near plane from the eye [radii of the mesh]. Parts of faces in front of it are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;
-// Number of faces and number of cells per batch (limits: SIMD lanes and registers).
+// Number of faces and number of cells per batch. Limits: lanes of SIMD vectors, number of registers.
 constexpr int FACES = 16, CELLS = 8;
 
 WARPDIFF_INLINE double lesser(double a, double b)
@@ -44,12 +44,12 @@ struct Raster {
     bool orthographic;
     int width, height;
     double per_width, per_height;
-    // Distance from the eye to the sphere around the mesh. Stored distances start there, because float32 distances from
-    // a remote eye could not distinguish faces.
+    // Distance from the eye to the sphere around the mesh. It is subtracted from stored distances: distances from a
+    // remote eye would be equal in float32 for different faces.
     double before;
     const double* offsets; // offset of each pixel's ray from the pixel centre; null: no offsets
-    // Subdivided pixels: one bit per pixel, in words of 64, marks them. `ranks` has the index of each subdivided pixel.
-    // `aside` and `below` are the offsets of cells from the pixel centre [pixels].
+    // Subdivided pixels. `marks` has one bit per pixel of the picture, in words of 64. `ranks` has the index of each
+    // subdivided pixel among them. `aside` and `below` are the offsets of the cells from the pixel centre [pixels].
     const unsigned long long* marks; // null: one ray per pixel
     const int* ranks;
     int cells;
@@ -84,15 +84,16 @@ struct Raster {
     }
 };
 
-// A batch of faces after clipping at the near plane. Arrays of three are indexed by the corner, or by the edge opposite
-// to that corner.
+// A batch of triangles: faces, or parts of them behind the near plane. Arrays of three have one entry per corner, or
+// per edge; an edge has the index of the opposite corner.
 struct Triangles {
-    // Positions of corners in the picture and depths along the view. `rises` states whether the edge runs from the
+    // Positions of corners in the picture, and depths along the view. `rises` states whether an edge runs from the
     // vertex with the smaller index to the one with the larger index.
     double column[3][FACES], row[3][FACES], depth[3][FACES];
     bool rises[3][FACES];
     int face[FACES], count = 0;
-    // Range of pixels that each triangle may cover, and its edges: start, extent, sign, and columns per row.
+    // Range of pixels that each triangle may cover, and its edges: start, vector to the end, sign, and slope in columns
+    // per row.
     double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
     double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
 
@@ -105,7 +106,7 @@ struct Triangles {
     }
 };
 
-// Round the corners of all triangles to the grid, and compute their bounding boxes and edges.
+// Round the corners of all triangles to steps of 1/PER_PIXEL pixel, and compute their bounding boxes and edges.
 template <class Picture>
 WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
 {
@@ -124,7 +125,8 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
         triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
     }
-    // Adjacent faces compute the same value for their common edge, with opposite signs.
+    // An edge always starts at the vertex with the smaller index. Adjacent faces therefore compute the same value for
+    // their common edge, with opposite signs.
     for (int k = 0; k < 3; ++k) {
         const int one = (k + 1) % 3, other = (k + 2) % 3;
         for (int i = 0; i < FACES; ++i) {
@@ -141,8 +143,8 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
     }
 }
 
-// Store triangle i as the hit of a ray if it is nearer than the stored one. The stored word has the bits of the
-// distance in its upper half and the face index in its lower half.
+// Store the face of triangle i as the nearest one of a ray if it is nearer than the stored face. The stored word has
+// the float32 bits of the distance in its upper half and the index of the face in its lower half.
 template <class Picture>
 WARPDIFF_INLINE void keep_nearest(
     const Picture& picture, const Triangles& triangles, int i, double inside0, double inside1, double inside2, int ray)
@@ -232,7 +234,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
         if (!(triangles.low_row[i] <= triangles.high_row[i] && triangles.low_column[i] <= triangles.high_column[i]))
             continue;
         for (int row = (int)triangles.low_row[i]; row <= (int)triangles.high_row[i]; ++row) {
-            // Range of columns of the row that the triangle may cover, with a margin of one pixel.
+            // Range of columns that the triangle may cover in this row, with a margin of one pixel.
             double least = triangles.low_column[i], largest = triangles.high_column[i];
             for (int k = 0; k < 3; ++k) {
                 const double slope = triangles.slope[k][i], rise = triangles.sign[k][i] * triangles.down[k][i];
@@ -250,7 +252,7 @@ inline void visit_rays(const Picture& picture, Triangles& triangles)
     }
 }
 
-// Project a corner from view coordinates (across, up, depth) into the picture.
+// Project a corner with the view coordinates (across, up, depth) into the picture.
 template <class Picture>
 WARPDIFF_INLINE void project_corner(
     const Picture& picture, double across, double up, double depth, Triangles& triangles, int corner, int i)
@@ -302,8 +304,8 @@ WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* posit
     return clipped;
 }
 
-// Add the one or two triangles of a clipped face to the batch. Their edges are those of the face, except for the cut
-// and for the diagonal between the two triangles.
+// Add the one or two triangles of a clipped face to the batch. New edges are the cut at the near plane, and the
+// diagonal between the two triangles.
 template <class Picture>
 WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clipped, int face, Triangles& triangles)
 {
@@ -313,8 +315,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // For the edges opposite to the triangle's three corners, `rises` states whether the edge runs from the smaller
-        // vertex index to the larger one. The diagonal between two triangles has opposite values in them.
+        // `rises` of the edges opposite to the triangle's three corners. The two triangles have opposite values for
+        // their diagonal.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;

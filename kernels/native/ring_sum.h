@@ -1,8 +1,8 @@
 // Mean colours over footprints that are wide compared with their distance from the mirror direction.
 //
-// Such a footprint is not a small range of angles and radii. Each row at the rings and azimuths within the footprint
-// has the Gaussian of (u, v) as its weight. Rows of a mip level are means over arcs of a ring. The Gaussian is made
-// narrower along the ring to compensate for that blur.
+// Such a footprint is not a small range of angles and radii. Its colour is a weighted sum of the rows at all rings and
+// azimuths within it. The weight of a row is the value of the footprint's Gaussian in (u, v). Rows of a mip level are
+// already blurred along a ring. To compensate, the Gaussian is made narrower along the ring.
 
 #pragma once
 
@@ -11,21 +11,23 @@
 
 namespace warpdiff {
 
-// Number of azimuths per batch (limit: SIMD lanes).
+// Number of azimuths per batch. Limit: lanes of a SIMD vector.
 constexpr int ARC = batch_of(8);
-// Extent of the summed Gaussian [standard deviations]: outwards, and towards the mirror direction, where surfaces are
-// brightest. Limits: a larger extent sums more rows.
+// Distance at which the Gaussian of a footprint is truncated [standard deviations]: outwards, and towards the mirror
+// direction, where surfaces are brightest. Limits: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Largest spacing of the summed rings: `RINGS_APART` in ln |(u, v)|, limited by the smoothness of colours, and
-// `RINGS_PER_DEVIATION` in standard deviations along (u, v). The spacing doubles within `WITHIN` narrow standard
-// deviations of the mirror direction. With twice the spacing, sums over narrow Gaussians are inaccurate.
+// Not all rings of the table are added. The largest spacing is `RINGS_APART` in ln |(u, v)|, limited by the smoothness
+// of colours. It is also limited to `RINGS_PER_DEVIATION` standard deviations of the Gaussian along (u, v). If the
+// radius of a ring is below `WITHIN` times the smaller standard deviation, the spacing is twice as large. With twice
+// the spacing everywhere, sums over narrow Gaussians are inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Radius of the innermost ring: the smaller of `INNERMOST` narrow standard deviations and `INNERMOST_OF_LOBE` standard
-// deviations of the narrowest lobe. `NARROWEST` is the least standard deviation of a footprint, relative to that lobe.
-// Limits: lower values sum more rings.
+// Least radius of the innermost ring: `INNERMOST` times the smaller standard deviation of the Gaussian, or
+// `INNERMOST_OF_LOBE` times that of the lobe of an order, if this is smaller. `NARROWEST` is the least standard
+// deviation of the Gaussian, relative to that lobe. Limits: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// `MOST_BLUR2` is the largest share of the variance along a ring that the blur of a mip level may have.
-// `AZIMUTHS_APART` is the largest spacing of the level's azimuths, in standard deviations along the ring.
+// Limits of the mip level. `MOST_BLUR2` is the largest ratio of the variance of its blur to the variance of the
+// Gaussian along the ring. `AZIMUTHS_APART` is the largest spacing of its azimuths, in standard deviations of the
+// Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian of (u, v): its mean and the inverse of its covariance.
@@ -34,16 +36,16 @@ struct Gaussian2 {
 };
 
 // Mip level for the rings of one octave. `spacing` is the distance of its azimuths [rad]. `blur2` is the variance of
-// its rows minus the variance of the spline between azimuths [rad²]. The next level is used where the variance along
-// the ring is at least `until`.
+// its rows minus the variance of the spline between azimuths [rad²]. If the variance of the Gaussian along a ring is at
+// least `until`, the next level is used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
 };
 
-// Return the weight of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. (x, y) is the point's
-// direction. The Gaussian is narrower along the ring by the variance `blur2`. It is approximated by one whose exponent
-// has the same slope and curvature at the point.
+// Return the weight of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
+// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this, the logarithm of the
+// Gaussian along the ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
@@ -67,8 +69,9 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// Replace `widest` by the widest mip level of one octave for a variance along the ring. Levels may be twice as wide in
-// the next octave inwards, so that the search starts one level below.
+// Replace `widest` by the widest mip level in `octave` that suits a variance along the ring. Rings are processed
+// inwards. In a new octave the blur of a level may be twice as large, and the search starts one level below the present
+// one.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -85,8 +88,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows of a ring from the azimuth `first` to the azimuth `end`. The last azimuth is excluded, because arcs may
-// touch.
+// Add the rows of a ring from the azimuth `first` to the azimuth `end`, which is excluded: it may be the first azimuth
+// of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -110,7 +113,7 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of rows over a Gaussian around (u, v), from the outermost ring inwards.
+// Return the sum of rows, weighted by a Gaussian around (u, v), from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -122,7 +125,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float narrow2 = larger((a * d - b * b) / widest2, least * least);
     const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
     const float turns = log_polar(u, v, table.least_uv).turns;
-    // Direction perpendicular to the long axis of the Gaussian, and the distance of that axis from the mirror
+    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of that axis from the mirror
     // direction.
     const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
     float x, y;
@@ -130,8 +133,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // The summed rings are a subset of the table's rings. Their spacing is smaller than the width of the Gaussian along
-    // (u, v).
+    // Spacing of the rings that are added, a multiple of the spacing in the table. It is smaller than the width of the
+    // Gaussian along (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -147,7 +150,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // Nearer to the mirror direction, the Gaussian covers a larger part of each ring.
+        // Nearer to the mirror direction, the Gaussian covers a larger part of each ring, and wider mip levels suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
@@ -155,8 +158,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const float* const rows = numbers<const float>(table.rows)
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
-        // The summed arc of the ring lies around (u, v). For a long narrow Gaussian, two arcs near its long axis are
-        // used instead if they are shorter.
+        // The Gaussian covers an arc of the ring around (u, v). If it is long and narrow, it covers at most two arcs
+        // near its long axis, which are used instead if they are shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -167,7 +170,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // The ends of arcs are rounded, so that two arcs that touch include each azimuth once.
+        // The position of the arcs is rounded, so that two arcs that touch include each azimuth exactly once.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

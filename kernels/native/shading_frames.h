@@ -15,16 +15,16 @@ struct FrameLimits {
 };
 
 // Shading frames of N pixels by axis. Special pixels are computed separately: their normals must be rotated towards the
-// viewer, or their tangents vanish.
+// viewer, or their tangents are parallel to the normal.
 template <int N>
 struct ShadingFrames {
     Batch<N> tangent[3], bitangent[3], normal[3], shadow_origin[3];
     Batch<N, bool> is_special;
 };
 
-// Compute the start point of a shadow ray (Hanika 2021, "Hacking the shadow terminator"). The point is lifted to the
-// tangent planes of the corners where it lies below them, which is where the smooth surface is convex. Without this,
-// facets would shadow each other at grazing incidence.
+// Compute the start point of a shadow ray (Hanika 2021, "Hacking the shadow terminator"). A point below the tangent
+// planes of the face's corners is moved up to these planes, where the smooth surface would be. Without this, faces of a
+// convex surface would shadow each other at grazing incidence.
 template <int N>
 WARPDIFF_INLINE void lift_to_tangent_planes(
     const PixelBatch<N>& pixels, int i, const float* share, const float* point, float side, bool smooth, float* origin)
@@ -54,8 +54,8 @@ WARPDIFF_INLINE float project_tangent(
     }
     for (int c = 0; c < 3; ++c) tangent[c] -= along * normal[c];
     const float left2 = dot(tangent, tangent);
-    // The projection is repeated, because a short difference of two nearly parallel vectors contains their rounding
-    // errors.
+    // If tangent and normal are nearly parallel, their difference is short and has a large relative rounding error. A
+    // second projection removes the error along the normal.
     float again = 0.0f, tangent2 = 0.0f;
     for (int c = 0; c < 3; ++c) again += tangent[c] * normal[c];
     for (int c = 0; c < 3; ++c) {
@@ -108,7 +108,7 @@ WARPDIFF_INLINE void find_frames(
     }
 }
 
-// Store one vector per pixel, and zeros for pixels that do not hit the mesh. Skipping these pixels would be slower.
+// Store one vector per pixel, and zeros for pixels that do not hit the mesh; skipping these pixels would be slower.
 template <int N>
 WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {
@@ -116,8 +116,8 @@ WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const
         for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? vectors[c][i] : 0.0f;
 }
 
-// Compute the shading frames of the pixels from `begin` to `end`. Return the number of special pixels, which are marked
-// by `hit` = SPECIAL and computed separately.
+// Compute the shading frames of the pixels from `begin` to `end`. Return the number of special pixels. They are only
+// marked, by `hit` = SPECIAL, and computed later.
 template <int BATCH, int SPECIAL, class Surface, class Pixels>
 WARPDIFF_INLINE int make_shading_frames(
     const Surface& surface, const Pixels& pixels, int begin, int end, FrameLimits limits)

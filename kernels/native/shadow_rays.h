@@ -1,7 +1,7 @@
 // Shadow rays to a distant light. A grid perpendicular to the light has a list of faces in each cell.
 //
-// Positions across the light are whole numbers of steps, so that edge functions are exact. kernels/shadow_rays.py makes
-// the lists by the same rules.
+// Positions perpendicular to the light are rounded to whole numbers of steps. The test on which side of an edge a point
+// lies is then exact. kernels/shadow_rays.py makes the lists with the same rounding.
 
 #pragma once
 
@@ -9,11 +9,11 @@
 
 namespace warpdiff {
 
-// Largest number of faces of a list that are tested together (limit: size of local arrays).
+// Largest number of faces of a list that are tested together. Limit: size of local arrays.
 constexpr int LISTED = 32;
 
-// A batch of points: position across the light [steps], height towards the light, grid cell (−1: no test required), and
-// whether the point is occluded.
+// A batch of points: two coordinates perpendicular to the light [steps], height towards the light, index of the grid
+// cell (−1: no test required), and whether the point is occluded.
 template <int N>
 struct ShadowPoints {
     Batch<N, double> x, y, z;
@@ -30,7 +30,7 @@ struct ShadowPoints {
             const long long k = from + (i < count ? i : 0), at = 3 * k;
             const bool asks = i < count && hit[k] != 0
                 && normals[at] * towards[0] + normals[at + 1] * towards[1] + normals[at + 2] * towards[2] > facing_away;
-            // Pixels that need no test get the origin, because their own points may not be finite.
+            // Pixels that require no test get the origin instead of their own point, which may not be finite.
             const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
             const double p2 = asks ? origins[at + 2] : 0.0f;
             x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * steps);
@@ -51,21 +51,21 @@ struct ShadowPoints {
         const double x0 = corners[0], y0 = corners[1], z0 = corners[2], x1 = corners[3], y1 = corners[4];
         const double z1 = corners[5], x2 = corners[6], y2 = corners[7], z2 = corners[8];
         for (int j = 0; j < N; ++j) {
-            // Twice the areas of the triangles between the point and the three edges of the face. The products are
-            // exact.
+            // Twice the areas of the triangles between the point and the three edges of the face. They are exact, as
+            // positions are whole numbers.
             const double e0 = (x2 - x1) * (y[j] - y1) - (y2 - y1) * (x[j] - x1);
             const double e1 = (x0 - x2) * (y[j] - y2) - (y0 - y2) * (x[j] - x2);
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-            // Only faces with their highest corner above a point occlude it. A point in the plane of a face is then not
-            // affected by lower faces next to it.
+            // A face occludes a point only if its highest corner is above the point. Otherwise rounding could let a
+            // lower face next to the point's own face occlude it.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }
 };
 
-// Test the faces listed in a grid cell against the points in that cell. The lowest point has the height `least`.
+// Test the faces in the list of a grid cell against the points in that cell. The lowest point has the height `least`.
 template <int N, class Grid>
 WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, ShadowPoints<N>& points)
 {
@@ -74,8 +74,8 @@ WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, Shado
     const int* const starts = numbers<const int>(grid.starts);
     const int* const faces = numbers<const int>(grid.faces);
     for (int next = starts[here]; next < starts[here + 1];) {
-        // Select the faces that are higher than the lowest point. The selection has no branches, because processors
-        // could not predict them.
+        // Select the faces that are higher than the lowest point. The selection has no branches, because mispredicted
+        // branches would take more time.
         int above[LISTED], count = 0;
         float top[LISTED];
         const int stop = wp::min(next + LISTED, starts[here + 1]);
@@ -88,8 +88,8 @@ WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, Shado
     }
 }
 
-// Determine for the pixels from `begin` to `end` whether the light is occluded. Points in the same grid cell are tested
-// together.
+// Determine for the pixels from `begin` to `end` whether the light is occluded. The points of a batch that lie in the
+// same grid cell are tested together.
 template <int BATCH, class Grid, class Vector, class Pixels, class Flags>
 WARPDIFF_INLINE void look_up_shadows(const Grid& grid, const Vector& towards, const Pixels& pixels, float facing_away,
     double steps, int begin, int end, Flags& occluded_out)

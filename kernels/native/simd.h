@@ -1,7 +1,8 @@
 // SIMD vectors of floats, rows of these vectors, and access to Warp's arrays.
 //
 // On a GPU, batches and vectors have one element. On the CPU, compilers vectorise loops over whole batches. Sums of
-// rows use the compiler's vector types explicitly, because compilers do not vectorise plain loops over registers.
+// rows use vector types of the compiler explicitly: with plain loops, compilers would not keep the sums in vector
+// registers.
 
 #pragma once
 
@@ -55,7 +56,8 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, stored in the longest vectors that divide it. WIDTH is a multiple of four on the CPU.
+// A row of WIDTH floats, stored as the longest vectors into which it can be divided. On the CPU, WIDTH is a multiple of
+// four.
 template <int WIDTH>
 struct Row {
     static constexpr int LANES = ON_GPU ? 1 : WIDTH % 8 == 0 ? 8 : 4;
@@ -94,7 +96,7 @@ struct WeighedRows {
     }
 };
 
-// Return a pointer to the numbers of a Warp array, whose elements may be vectors of numbers.
+// Return a pointer to the first number of a Warp array. The elements of the array may be numbers or vectors.
 template <class Number, class Array>
 WARPDIFF_INLINE Number* numbers(const Array& array)
 {
@@ -114,7 +116,8 @@ WARPDIFF_INLINE int cyclic(int index, int count)
     return left < 0 ? left + count : left;
 }
 
-// Prefetch data that is read soon. Has no effect on a GPU, which runs other threads while one waits for memory.
+// Begin to fetch data from memory that is used soon. On a GPU this does nothing: the GPU runs other threads while one
+// waits for memory.
 WARPDIFF_INLINE void prefetch(const float* at)
 {
 #if !defined(__CUDA_ARCH__)

@@ -1,5 +1,5 @@
-// Sampling of the power spectrum along azimuths of the frequency plane. Each value is the integral of the spectrum
-// under a quadratic B-spline in ln t around a ring, where t is the radius.
+// Sampling of the power spectrum along azimuths of the frequency plane. The value at a ring is the integral of the
+// spectrum, weighted by a quadratic B-spline in ln t around the ring, where t is the radius.
 
 #pragma once
 
@@ -9,14 +9,15 @@
 
 namespace warpdiff {
 
-// Number of Gaussian factors per batch, and number of rows of coefficients whose extent is computed in advance.
+// Number of Gaussian weights that are computed at a time, and number of rows of coefficients whose range is computed in
+// advance.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
-// Range of coefficients that contribute to a point of the frequency plane. The range of each row is the largest for any
-// point nearest to the same coefficient, so that no branch depends on the exact position.
+// Range of coefficients that contribute to a point of the frequency plane, relative to the coefficient nearest to the
+// point. It is large enough for any point with the same nearest coefficient, and the same for all points.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // Indices of the excluded coefficient; −1 if none is excluded.
+    // Indices of the coefficient that is excluded, the zeroth order; −1 if none is.
     int excluded_y, excluded_x;
 
     template <class Table>
@@ -34,8 +35,8 @@ struct Neighbours {
     }
 };
 
-// Compute exp(−scale · x²) at TAPS distances x. The distances are consecutive integers from `from` on, minus a common
-// fraction.
+// Compute exp(−scale · x²) at TAPS distances x. They are consecutive integers from `from` on, minus the fractional part
+// of a position.
 WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
 {
     for (int i = 0; i < TAPS; ++i) {
@@ -44,8 +45,8 @@ WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* t
     }
 }
 
-// Return the weighted sum of the coefficients of a row from tap `begin` to tap `end` (excluded). Indices are wrapped
-// only where the row crosses the edge of the table.
+// Return the weighted sum of coefficients from number `begin` to number `end` (excluded), counted from `column`.
+// Coefficients are periodic: a sum across the edge of the table continues at the other edge.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     const Table& table, const Neighbours& around, int y, int column, const float* taps, int begin, int end)
@@ -68,12 +69,11 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     return sum;
 }
 
-// Return the sum of the coefficients around a point of the frequency plane, with the Gaussian of the coherence as
-// weights.
+// Return the sum of the coefficients around a point of the frequency plane, weighted by the Gaussian of the coherence.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // The integer part is subtracted in float64, because positions extend to hundreds of coefficients.
+    // The integer part is subtracted in float64: positions of hundreds of coefficients would be too coarse in float32.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;
@@ -100,8 +100,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Return the power at WIDTH values of κ from summed amplitudes. The real parts of the amplitudes precede the imaginary
-// parts. `basis` has WIDTH factors for each term.
+// Return the power at WIDTH values of κ from a weighted sum of amplitude rows. The terms of the real part precede those
+// of the imaginary part. `basis` has the values of each term at the WIDTH values of κ.
 template <int TERMS, int WIDTH>
 WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {
@@ -116,8 +116,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals of the spectrum under the splines of three consecutive rings. They remain in registers while the sampling
-// proceeds from ring to ring.
+// Integrals of the spectrum under the splines of three consecutive rings, to which a sample contributes. They remain in
+// registers while the sampling proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -129,7 +129,7 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample of the spectrum to the three integrals. The sample lies `f` rings from the middle ring.
+    // Add a sample of the spectrum to the three integrals. `f` is its distance from the middle ring, in rings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
@@ -155,9 +155,9 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
         ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// Compute the integrals along one azimuth at `rings` rings, and store them from the row `begin` on. `sine` and `cosine`
-// give the azimuth's direction in units of coefficients. There are `divisions` samples from ring to ring. The first
-// sample is at the radius t, and each sample has `ratio` times the radius of the previous one, up to `highest`.
+// Compute the integrals along one azimuth at `rings` rings, and store them from the row `begin` on. A sample at the
+// frequency t is at the position (`sine` t, `cosine` t) among the coefficients. There are `divisions` samples from ring
+// to ring. The first sample is at t, and each has `ratio` times the frequency of the previous one, up to `highest`.
 //
 // Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
 // values of κ before integration.

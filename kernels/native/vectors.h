@@ -1,4 +1,5 @@
-// Operations on vectors in space. Vectors are plain arrays, so that loops over batches of them are vectorised.
+// Operations on vectors of three components. They are plain arrays, so that compilers vectorise loops over many of
+// them.
 
 #pragma once
 

@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 # which takes seconds.
 _LOADERS = 2
 _loading: dict[wp.Module, Future[None]] = {}
-# Longest time that a fork waits for kernels that are being compiled or loaded [s]. Limit: a fork must not block for
-# long. If the time is too short, the child process refuses to run kernels.
+# Longest time that ``os.fork`` waits for kernels that are being compiled or loaded [s]. Limit: a fork must not block
+# for long. If the kernels are not ready by then, the child process refuses to run kernels.
 _MOST_WAIT_S = 1.0
 
 
 def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # By default Warp prints a banner and a line per module, which are disabled here.
+    # By default Warp prints a banner, and a line for each module that it loads. This level suppresses both.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
@@ -51,7 +51,7 @@ def resolve_device(device: str | wp.Device | None) -> wp.Device:
 
 @functools.cache
 def _start(*, asks_for_cuda: bool) -> None:
-    """Initialise Warp; later calls do nothing."""
+    """Initialise Warp if that has not happened yet."""
     try:
         with contextlib.nullcontext() if asks_for_cuda else _without_driver_warning():
             wp.init()
@@ -93,7 +93,7 @@ def resolve_threads(threads: int | None) -> int:
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     """Start to compile or load kernels for the CPU on other threads; return their futures.
 
-    The first compilation on a thread requires seconds for Warp's headers; two threads do this at the same time.
+    The first compilation on a thread reads Warp's headers, which takes seconds. Two threads do this at the same time.
     """
     if not device.is_cpu:
         return []
@@ -142,12 +142,16 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Unfinished work of other threads when this process was forked; this work never finishes in this process.
+# Descriptions of work that other threads had not finished when this process was forked. Threads do not survive a fork,
+# so this work never finishes in this process.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Raise an error if this process was forked during work of another thread, for which it would wait for ever."""
+    """Raise an error if this process was forked during work of another thread.
+
+    Kernels would wait for that work for ever.
+    """
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
 
@@ -155,16 +159,16 @@ def _refuse_cut_off() -> None:
 def codegen_lock() -> threading.Lock | None:
     """Return the lock that Warp uses while it parses kernels, or None if Warp is not imported or has no such lock.
 
-    The lock is undocumented. A process that is forked while another thread parses kernels would wait for it for ever.
+    The lock is undocumented. If another thread holds it during a fork, the child process would wait for it for ever.
     """
     lock = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# Warp's lock, acquired around a fork.
+# The lock of :func:`codegen_lock` while this process forks; otherwise empty.
 _acquired: list[threading.Lock] = []
-# Futures for the child process, of the modules that were loaded before the fork. The futures are new objects,
-# because another thread may have locked the original ones.
+# Futures of the modules that were loaded before a fork, for the child process. They are new objects, because another
+# thread may hold the locks of the original ones during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
@@ -174,7 +178,7 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # If loading succeeded, the exception is None, and the new future is done without a result.
+            # If loading succeeded, the exception is None. ``set_exception`` then only marks the new future as done.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -188,7 +192,7 @@ def _release() -> None:
 
 
 def _in_child() -> None:
-    """Restore the loaded modules in the child process, and record unfinished work of other threads."""
+    """In the child process, restore which modules are loaded, and record other threads' work that was not finished."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)
@@ -201,8 +205,8 @@ def _in_child() -> None:
         lock.release()
 
 
-# At a fork, functions that are registered last run first. In this order, imports finish, no further load starts, and
-# running loads finish.
+# At a fork, the functions registered last run first: imports finish, then ``_load_lock`` prevents further loads, then
+# ``_before_fork`` waits for running loads.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

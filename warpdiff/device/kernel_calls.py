@@ -1,4 +1,7 @@
-"""Pipelines of kernel calls: whole launches on a GPU, slices of elements on several threads on the CPU."""
+"""Pipelines of kernel calls.
+
+A GPU launches each kernel over all elements; CPU threads process slices of the elements.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU. Choice: with fewer, launches take a larger share of the time.
+# Default number of elements per slice on the CPU. Choice: with fewer elements, the overhead of launches is larger.
 ELEMENTS_OF_SLICE = 512
-# Largest number of elements per turn of a thread, which may have several slices, and least number of turns per thread.
-# Limit: a thread checks for interrupts and reports progress only between turns.
+# A thread processes several slices before it checks for interrupts and reports progress. Limits: the largest number of
+# elements until then, and the least number of such turns per thread.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
@@ -31,11 +34,11 @@ class KernelCall:
         kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
         inputs: Inputs before ``first``.
         outputs: Arrays that the kernel writes.
-        in_runs: Whether the kernel has another input ``run`` after ``first``, the number of indices per thread. On the
-            CPU a thread then reads its arguments once per slice instead of once per index; some kernels have a kilobyte
-            of them.
-        block: Number of elements per index of the kernel.
-        free: Recorded launches that no thread is using.
+        in_runs: Whether the kernel has another input ``run`` after ``first``: the number of indices that one thread
+            processes in a loop. On the CPU, one run is a slice. The kernel's arguments, up to a kilobyte, are then read
+            once per slice instead of once per index.
+        block: Number of elements per index of the kernel, for example the cells of a pixel.
+        free: Launches that Warp has recorded on the CPU for repeated use, and that no thread is using now.
     """
 
     kernel: wp.Kernel
@@ -46,7 +49,7 @@ class KernelCall:
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
-        """Launch the kernel with one thread per index."""
+        """Launch the kernel over elements, with one thread per index: on a GPU, or while a graph is recorded."""
         inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
@@ -55,7 +58,7 @@ class KernelCall:
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
-        """Return a recorded launch for the calling thread, which must append it to ``free`` after use."""
+        """Return a recorded launch for the calling thread. The thread must append it to ``free`` after use."""
         try:
             return self.free.pop()
         except IndexError:
@@ -71,7 +74,7 @@ class _Recorded:
         self._launch = wp.launch(step.kernel, 1, values, device="cpu", record_cmd=True)
 
     def run(self, begin: int, end: int) -> None:
-        """Launch the kernel over the elements from ``begin`` to ``end``."""
+        """Launch the kernel over the elements from ``begin`` to ``end`` (excluded)."""
         first, stop = begin // self._block, -(-end // self._block)
         self._launch.set_param_at_index_from_ctype(self._first, first)
         if self._in_runs:
@@ -85,16 +88,19 @@ class Pipeline:
     """Sequence of kernel calls on the CPU."""
 
     def __init__(self, steps: Sequence[KernelCall]) -> None:
-        """Make a pipeline, and wait until its kernels are compiled."""
+        """Store the kernel calls, and wait until their kernels are compiled."""
         load_now([step.kernel for step in steps], resolve_device(None))
         self._steps = steps
 
     def launch(self, elements: range) -> None:
-        """Launch the kernels over elements on the calling thread."""
+        """Launch the kernels over a range of elements, on the calling thread alone."""
         self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_once: int) -> Callable[[], None]:
-        """Return a function for any thread that launches the kernels over the next ``at_once`` slices of ``size``."""
+        """Return a function that launches the kernels over the next ``at_once`` slices of ``size`` elements.
+
+        Several threads may call the function at the same time; no slice is taken twice.
+        """
         begins, lock = iter(elements[::size]), threading.Lock()
 
         def take() -> None:
@@ -144,13 +150,15 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # More calls than necessary let fast threads take slices that a slow thread has not started.
+        # A slow thread may not have taken all slices of its turn when others finish. The additional calls take these
+        # slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return
     for step in steps if indices else ():
         step.launch(indices, device)
     if progress is not None:
-        # Without a progress callable, launches remain queued, and reading their results waits for them.
+        # Progress is reported after all launches have finished. Without a callable there is no need to wait here,
+        # because reading the results waits.
         wp.synchronize_device(device)
         progress(1.0)

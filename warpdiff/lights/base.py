@@ -1,7 +1,8 @@
 """Base classes of lights and of their parts, which describe a light before any kernel runs.
 
 A public light makes parts, and each part makes a pass (``light_pass``). The pass fills and reads the arrays of one
-picture. Pixels are refined under one part after the other, as refinement requires the colours of that part alone.
+picture. Pixels are refined separately for each part, because the error estimate of a pixel requires the colours under
+that part alone.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
-# Number of samples per pixel of a wide disc light in pictures with ``refine=False``. Limit: time is proportional to it.
+# Number of samples per pixel of a disc light that is too wide for a lobe, in pictures with ``refine=False``. Limit:
+# time is proportional to it.
 DISC_SAMPLES = 128
 
 
@@ -37,8 +39,9 @@ class Light(ABC):
         """Return the parts that pictures render one after the other.
 
         Args:
-            coherence: Coherence of the picture, whose window blurs the light.
-            single_lobe: Whether a light that one lobe can approximate becomes one lobe.
+            coherence: Coherence of the picture. An environment is only accepted with an averaged window.
+            single_lobe: Whether discs of up to 5° become one lobe, as in pictures without refinement; otherwise discs
+                of up to 1.5° do.
             name: The argument that holds this light, for messages.
 
         Raises:
@@ -53,8 +56,8 @@ class LightPart(ABC):
         spectra: The illuminants of the part.
         has_lobes: Whether the part consists of lobes. If so, a plan serves the directions of the lobes, otherwise the
             whole hemisphere.
-        has_extent: Whether light arrives from more than one direction, which requires footprints.
-        sample_count: Number of lobes or of sampled directions that represent the part.
+        has_extent: Whether light arrives from more than one direction. Such a part requires footprints.
+        sample_count: Number of lobes, or of directions per pixel that are drawn if pixels are not refined.
     """
 
     spectra: tuple[str | Spectrum, ...]
@@ -78,7 +81,7 @@ class Lobe:
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
             (2, 3), world frame; None is a single direction.
         position: Position of a point light, world frame. The power falls off with the square of the distance, and
-            ``to_light`` is ignored. None is infinitely far away.
+            ``to_light`` is ignored. None for a light that is infinitely far away.
     """
 
     to_light: tuple[float, float, float]
@@ -93,14 +96,15 @@ class LobeSet(LightPart):
     """Set of lobes that are refined together: directional lights, small discs, point lights and suns.
 
     Attributes:
-        lobes: The lobes.
+        lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
     """
 
     lobes: tuple[Lobe, ...]
     has_lobes = True
 
     def __post_init__(self) -> None:
-        # The dataclass is frozen, so that these attributes are computed from the lobes and set here.
+        # The fields of a frozen dataclass cannot be assigned. Therefore its attributes that follow from the lobes are
+        # set through ``vars``.
         vars(self).update(
             spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
             has_extent=any(lobe.deviations is not None for lobe in self.lobes),
@@ -116,7 +120,7 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class DiscPart(LobeSet):
-    """Disc light with sampled directions; its only lobe has the mean and the variance of the disc."""
+    """Disc light whose directions are sampled. Before pixels are subdivided, a single lobe approximates the disc."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -42,7 +42,7 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image has the same pixels as the grid from which suns are extracted later, so that no pixel is resampled.
+    # The image has the pixels of ``SkyGrid``. Otherwise resampling to that grid would spread the power of the sun.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
@@ -99,8 +99,10 @@ def _shares_of_sun(
 ) -> NDArray[np.float64]:
     """Return each pixel's share of the sun's power, such that mean direction and variance are those of the sun's disc.
 
-    Shares in proportion to area would make the sun 18 to 28 % wider, as a pixel is 0.35° wide. The shares with these
-    moments and the largest entropy are s exp(θ·x), with solid angles s and moments x. θ minimises a convex function.
+    Shares in proportion to area would make the sun 18 to 28 % wider, as a pixel is 0.35° wide. Among the shares with
+    the required mean and variance, those of largest entropy are s exp(θ·x). Here s is the solid angle of a pixel. The
+    vector x has the pixel's two offsets from the sun and its squared distance. θ has three parameters, found by
+    minimising a convex function.
     """
     from scipy.optimize import minimize
 

@@ -69,7 +69,10 @@ class DirectionalLight(Checked, LobeLight):
         return Lobe(self.to_light, self.illuminant, self.power, deviations)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
-        """Return one lobe, or a disc with sampled directions: see :class:`warpdiff.lights.base.Light`."""
+        """Return one lobe for a narrow disc, or a part with sampled directions for a wide one.
+
+        See :meth:`warpdiff.lights.base.Light.parts` for the arguments.
+        """
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
             return super().parts(coherence, single_lobe=single_lobe, name=name)
         check_illuminant(self.illuminant, f"{name}.illuminant")

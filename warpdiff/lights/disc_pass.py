@@ -24,12 +24,15 @@ _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # twice as much lowers the noise but narrows penumbrae. The limit ``_MOST_EXTENT``, in radii, is the standard deviation
 # of a whole disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples per pixel that are drawn to measure the range of directions. Limit: time is proportional to it.
+# Number of samples per pixel whose directions are measured to choose a plan. Limit: time is proportional to it.
 _MEASURED = 16
 
 
 class DiscPass(LobePass):
-    """Pass of a disc. Lobe numbers below ``sample_count`` are samples; the last lobe is one Gaussian for the disc."""
+    """Pass of a disc.
+
+    Lobe indices below ``sample_count`` are samples; the last one is a Gaussian with the disc's extent.
+    """
 
     is_sampled = True
 
@@ -40,7 +43,7 @@ class DiscPass(LobePass):
 
     @property
     def first_lobes(self) -> range:
-        """The Gaussian lobe if subpixel cells follow, otherwise all samples."""
+        """Lobes that are evaluated with one ray per pixel: the Gaussian if cells follow, otherwise all samples."""
         return (
             range(self.part.sample_count, self.part.sample_count + 1)
             if self.context.refines
@@ -49,15 +52,18 @@ class DiscPass(LobePass):
 
     @property
     def measured_lobes(self) -> range:
-        """The first few samples, so that the directions that a plan is tested on come from many pixels."""
+        """Lobes whose directions are measured for the plan.
+
+        The first samples suffice, as each pixel draws other directions.
+        """
         return range(_MEASURED)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample per cell in refined pictures; otherwise the cells share the samples of a pixel."""
+        """Return one sample per cell if pixels are refined; otherwise the cells of a pixel share its samples."""
         return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no occluder grid: each ray has another direction, so that shadow rays use the hierarchy of faces."""
+        """Make no occluder grid. A grid serves only one direction, but each ray draws its own."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:
@@ -82,7 +88,7 @@ class DiscPass(LobePass):
         return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: the pixel filter's, widened by the blur of the sample."""
+        """Return kernel calls that compute footprints: those of the pixel filter, widened by the blur of the sample."""
         if lobe == self.part.sample_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

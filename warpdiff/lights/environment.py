@@ -41,12 +41,13 @@ _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is
 # proportional to the number.
 _DEFAULT_DIRECTIONS = 64
-# Approximate memory per pixel [bytes] to load an image, and to compute a background. Larger values refuse more images.
+# Approximate memory per pixel [bytes] to load an image, and to compute a background. With larger values, images that
+# would fit in memory raise ``MemoryError``.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. Limit: the radiance of the sun remains below ``_MOST_RADIANCE``.
 _MOST_SUN = 1e3
-# Largest number of cached sets of parts per environment, one per window and number of directions. Limit: each set has
-# 7 MB.
+# Largest number of cached entries of ``Environment._parts``, which has one entry per window and number of directions.
+# Limit: an entry has 7 MB.
 _MOST_PARTS = 4
 
 
@@ -98,7 +99,8 @@ class Environment(Checked, Light):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # Cached parts have arrays on devices, which copies and other processes cannot share.
+        # The cache ``_parts`` is neither copied nor pickled: its parts have arrays on a device, which belong to this
+        # process.
         return {name: value for name, value in vars(self).items() if name != "_parts"}
 
     @classmethod
@@ -200,7 +202,8 @@ class Environment(Checked, Light):
             raise ArgumentValueError(
                 f"{ref('sun_direction')} must be above the horizon, with a y above 0, got {(x, y, z)}; raise the sun"
             )
-        # The altitude is rounded, so that suns that differ only in azimuth have the same spectrum and share its tables.
+        # The altitude is rounded to 1e-6 rad. Otherwise suns that differ only in azimuth would have spectra that differ
+        # by rounding, and each would need its own colour table.
         altitude = max(round(math.atan2(y, math.hypot(x, z)), 6), 1e-6)
         radiance = clear_sky_radiance(altitude, sun, ground_albedo)
         turn = math.remainder(SUN_AZIMUTH - math.atan2(x, -z), 2.0 * math.pi)
@@ -213,7 +216,7 @@ class Environment(Checked, Light):
         reflectance at normal incidence: divide the background by that reflectance.
 
         Args:
-            view: The camera.
+            view: Camera through which the environment is visible.
 
         Returns:
             Linear sRGB, shape (height, width, 3).
@@ -233,13 +236,16 @@ class Environment(Checked, Light):
 
     @forks.cached_property
     def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Radiances of a :class:`SkyGrid`, and suns; neither depends on window, scale or rotation."""
+        """Radiances of the sky on its latitude-longitude grid, without suns, and the suns.
+
+        Neither depends on the window, the scale or the rotation.
+        """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return grid.astype(np.float32), suns
 
     @forks.cached_property
     def _parts(self) -> LruCache[tuple[LightPart, ...]]:
-        """Cache of parts by window and number of directions, so that pictures under this environment share arrays."""
+        """Cache of parts by window and number of directions. Later pictures reuse the arrays of the parts."""
         return LruCache(most=_MOST_PARTS)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs)
@@ -255,7 +261,7 @@ class Environment(Checked, Light):
 
 
 def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """Return an environment with the same radiances and other settings, already checked; both share the grid."""
+    """Return an environment with the same radiances and other, checked settings; both environments share one grid."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grid=environment._grid)
     return result
@@ -266,7 +272,7 @@ class SkyPart(LightPart):
     """Sky of an environment, without its suns; it illuminates from the whole hemisphere.
 
     Attributes:
-        grid: The sky.
+        grid: Powers of the sky by direction.
     """
 
     grid: SkyGrid
@@ -274,7 +280,8 @@ class SkyPart(LightPart):
     has_extent = True
 
     def __post_init__(self) -> None:
-        # The dataclass is frozen, so that these attributes are computed from the grid and set here.
+        # The fields of a frozen dataclass cannot be assigned. Therefore its attributes that follow from the grid are
+        # set through ``vars``.
         vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
@@ -288,9 +295,10 @@ class SkyPart(LightPart):
 def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
     """Return the parts for windows of a standard deviation and a number of directions.
 
-    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², where 4πσ²/λ² is the absolute reflectance over ρ.
-    Therefore L/λ² has the role of a directional light's illuminant. Spectra of RGB colours under D65 come from basis
-    functions (Mallett and Yuksel, Spectral Primary Decomposition for Rendering with sRGB Reflectance, 2019).
+    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ². The factor 4πσ²/λ² converts ρ to an absolute
+    reflectance. Therefore L/λ² has the role that the illuminant has for a directional light. Spectra of RGB colours
+    under D65 come from basis functions (Mallett and Yuksel, Spectral Primary Decomposition for Rendering with sRGB
+    Reflectance, 2019).
     """
     grid, suns = environment._grid
     primaries, per_radiance = _spectra()

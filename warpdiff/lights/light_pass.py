@@ -1,6 +1,7 @@
 """Passes of lights: each pass samples one part of a light at the hits of rays, and looks up its colours.
 
-Hits are in ``scene.gbuffer``. Samples of one lobe (:class:`LightSamples`) and sums (:class:`RayBatch`) are here.
+The hits are in ``scene.gbuffer``. This module defines the samples of one lobe (:class:`LightSamples`), and rays with
+the sums to which their colours are added (:class:`RayBatch`).
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ class SurfaceOptics:
         coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
         normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces; None stands for ``normal_reflectance``.
+        materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
-        energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None is Stam's energy.
-        pigment: Strength of the pigment.
+        energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None leaves the energy
+            of Stam's model unchanged.
+        pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
     """
 
@@ -60,8 +62,8 @@ class PassContext:
     """Context that all passes of a picture share: its rays, its surface's optics, and structs for the kernels.
 
     Attributes:
-        rays: The camera rays.
-        optics: The optics of the surface.
+        rays: Camera rays, on whose hits the light is sampled.
+        optics: Optics of the surface, without the diffraction of its height field.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         pigment_strength: Strength of the pigment over R(0); 0 without a pigment.
         materials_of_faces: Index of each face's material on the device; empty for a single material.
@@ -96,21 +98,25 @@ class PassContext:
 
     @property
     def device(self) -> wp.Device:
-        """The Warp device."""
+        """Warp device of the rays."""
         return self.rays.options["device"]
 
     @property
     def has_materials(self) -> bool:
-        """Whether the faces have several materials."""
+        """Whether different faces may have different materials."""
         return len(self.materials_of_faces) > 0
 
     @property
     def casts_shadows(self) -> bool:
-        """Whether shadow rays are required: the mesh may occlude the lights in the current view."""
+        """Whether shadow rays are required: the mesh may occlude a light from a point that is visible in this view."""
         return self.optics.shadows and self.rays.may_be_occluded
 
     def pigment_white(self, illuminant: str | Spectrum) -> NDArray[np.float64]:
-        """Return the colour of a white pigment under an illuminant, linear sRGB: ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ."""
+        """Return the colour of a white pigment under an illuminant S, linear sRGB: ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ.
+
+        G converts the reflectance of a Lambertian surface to a relative reflectance ρ: see
+        :func:`warpdiff.optics.reflectance_factors.pigment_solid_angle`.
+        """
         return colorimetry.xyz_to_rgb(self._solid_angle @ colorimetry.colour_products(illuminant))
 
 
@@ -118,10 +124,10 @@ class PassContext:
 class LightSamples:
     """Arrays for one lobe at n hits; :meth:`LightPass.scatter` fills them, and the next lobe overwrites them.
 
-    For a sampled light, a lobe is one drawn direction per ray.
+    For a sampled light, a lobe stands for one direction that each ray draws.
 
     Attributes:
-        occluded: Whether the mesh occludes the lobe, (n,).
+        occluded: Whether the mesh occludes the lobe at each hit, (n,).
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
@@ -146,7 +152,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays, with footprints if pixels show ``means`` over them."""
+        """Return uninitialised arrays for a number of rays; those of footprints are empty without ``means``."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -160,7 +166,7 @@ class LightSamples:
 
     @property
     def directions(self) -> list[wp.array]:
-        """Scattering vectors, directions to the light and geometry factors."""
+        """The arrays of scattering vectors, of directions to the light and of geometry factors."""
         return [self.scattering_vectors, self.to_lights, self.gains]
 
 
@@ -170,14 +176,15 @@ class RayBatch:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of the last lobe at the hits.
+        samples: Samples of one lobe at the hits; each lobe overwrites those of the lobe before.
         xyz: Sums of colours, (n,).
         coverage: Sums of hits, (n,); an empty array is not written.
         illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
         unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
-        tiles: Pixels whose cells are the rays; −1 is no pixel. Empty stands for one ray per pixel of the picture.
+        tiles: Indices of the pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of
+            the picture.
         level: Level of the cells; 0 is one ray per pixel.
-        deviation: Standard deviation of the rays' filter [pixels]; 0 if pixels show points.
+        deviation: Standard deviation of the filter of a ray [pixels]; 0 without footprints.
     """
 
     gbuffer: GBuffer
@@ -192,17 +199,17 @@ class RayBatch:
 
     @property
     def sums(self) -> list[wp.array]:
-        """Sums of colours, sums of hits, and marks of illuminated rays."""
+        """The arrays to which samples are added: colours, number of hits, and marks of illuminated rays."""
         return [self.xyz, self.coverage, self.illuminated]
 
 
 @dataclass(frozen=True)
 class Counting:
-    """Weights and resets by which a lobe's samples enter the sums of a batch.
+    """Rule by which the samples of a lobe are added to the sums of a batch.
 
     Attributes:
-        weight: Weight of the colours.
-        counted: Weight of the hits; 0 if an earlier lobe counted these hits.
+        weight: Weight of the lobe's colours in the sum of colours.
+        counted: Weight of the hits in the coverage; 0 if an earlier lobe has counted these hits.
         begins: Whether all sums are set to zero before this lobe is added.
         resets: Whether the sum of colours is set to zero before this lobe is added.
     """
@@ -259,15 +266,17 @@ class LightPass(ABC):
     @property
     @abstractmethod
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Return the values that the launches depend on: a part of the key of a recorded CUDA graph.
+        """Return a part of the key of a recorded CUDA graph: the values that kernel launches of this pass depend on.
 
-        A replayed launch reuses the scalar arguments of the recording. A scalar that may change must be in this key, or
-        in an array that :meth:`begin` fills.
+        A replayed launch uses the scalar arguments of the recording. A scalar that may differ in the next picture must
+        therefore be in this key, or in an array that :meth:`begin` fills.
         """
 
     @abstractmethod
     def begin(self, previous: LightPass | None) -> None:
-        """Fill the arrays of this pass. Arrays of the previous pass are reused where they fit, for recorded graphs.
+        """Fill the arrays of this pass, and reuse arrays of the previous pass that have the same size.
+
+        A recorded CUDA graph reads the arrays that existed when it was recorded, and therefore requires this reuse.
 
         Args:
             previous: The pass of the same part in the previous picture; None if there is none.
@@ -275,24 +284,27 @@ class LightPass(ABC):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether shadow rays are prepared; passes without occluder grids are always prepared."""
+        """Whether shadow rays can be traced now: grids of occluders exist, or the pass uses none."""
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Prepare the tracing of shadow rays; ``count`` returns the number of rays per lobe, and may read the hits."""
+        """Make the grids for shadow rays. ``count`` returns the number of shadow rays per lobe."""
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
+        """Return the kernel calls that fill ``batch.samples`` for a lobe.
+
+        They also add the light of the pigment to the sums.
+        """
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that look up and add the colours of a sampled lobe."""
+        """Return the kernel calls that look up the colours of ``batch.samples``, and add them to the sums."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
     ) -> list[KernelCall]:
-        """Return the kernel calls that look up and add a lobe's colours, with one array of gains per spectrum."""
+        """Return the kernel calls that add a lobe's colours; ``gains`` has an array for each spectrum of the lobe."""
         samples, calls = batch.samples, []
         for material, spectra in enumerate(self.illuminated[lobe]):
             for gain, illuminated in zip(gains, spectra, strict=True):
@@ -308,18 +320,18 @@ class LightPass(ABC):
         return calls
 
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that add the colours of all lobes to a batch of cells."""
+        """Return the kernel calls that compute the colours of cells, and add them over all lobes of the light."""
         calls = []
         for lobe in self.cell_lobes(batch.level):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:
-        """Return the marks of rays with hits that are occluded from the last lobe; an empty array marks none."""
+        """Return the array that marks hits in the shadow of the last lobe; it is empty if nothing casts shadows."""
         return samples.occluded if self.context.casts_shadows else self._no_occlusion
 
     def filter_footprints(self, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that computes the footprints of the rays' filter in (u, v)."""
+        """Return the kernel call that computes footprints: changes of (u, v) over the filter of each ray."""
         rays, samples = self.context.rays, batch.samples
         inputs = [rays.camera, rays.scene.bare, batch.gbuffer.pixels, samples.scattering_vectors, batch.deviation]
         return KernelCall(light_samples.pixel_footprints, inputs, [samples.footprints], in_runs=True)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.tables.lookup import ColourLookup
 
-# Largest power of a point light over the square of the mesh's radius. Limit: near the light, squares of colours must
-# remain below the largest float32.
+# Largest ratio of a point light's power to the square of the mesh's radius. Limit: colours increase near the light, and
+# their squares must remain below the largest float32.
 _MOST_NEARBY = 1e9
 
 
@@ -33,7 +33,7 @@ class LobePass(LightPass):
     :meth:`footprint_calls`. If these methods pass scalars to kernels, :attr:`graph_key` must contain the scalars.
 
     Attributes:
-        part: The set of lobes.
+        part: Set of lobes that this pass samples.
     """
 
     def __init__(self, part: LobeSet, context: PassContext) -> None:
@@ -44,7 +44,7 @@ class LobePass(LightPass):
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the lobes into arrays: of the previous pass if it has the same number of lobes, otherwise new ones."""
+        """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes."""
         lobes, context = self.part.lobes, self.context
         if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
             self._lights = previous._lights
@@ -60,14 +60,17 @@ class LobePass(LightPass):
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
 
     def _place(self, lobe: Lobe) -> tuple[float, ...]:
-        """Return a lobe as homogeneous coordinates in the surface's units: direction and 0, or position and 1."""
+        """Return a lobe as homogeneous coordinates in units of ``Surface``: a direction and 0, or a position and 1."""
         if lobe.position is None:
             return *lobe.to_light, 0.0
         surface = self.context.rays.surface
         return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
 
     def _power(self, lobe: Lobe) -> float:
-        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
+        """Return a lobe's power at a distance of one mesh radius.
+
+        Users specify the power at a distance of one mesh unit.
+        """
         if lobe.position is None:
             return lobe.power
         radius = self.context.rays.surface.radius
@@ -81,20 +84,24 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Key of a recorded CUDA graph: illuminants of the lobes, and whether each has an extent and a position."""
+        """Key of a recorded CUDA graph: the illuminants of the lobes, and whether each has an extent and a position."""
         kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
-        """Whether each lobe has its struct ``ShadowGrid``, which tracing shadow rays requires."""
+        """Whether each lobe has its struct ``ShadowGrid``, without which no shadow ray can be traced."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Make the struct ``ShadowGrid`` of each lobe; a point light has no single direction to make a grid for."""
+        """Make the struct ``ShadowGrid`` of each lobe.
+
+        A grid serves one direction: structs of point lights have none.
+        """
         rays = self.context.rays
         to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
-        # The previous grids are freed before new ones are made, as both together may exceed the memory.
+        # The previous grids are freed first, because the memory may not suffice for both the previous and the new
+        # grids.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
@@ -105,7 +112,10 @@ class LobePass(LightPass):
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
     ) -> list[KernelCall]:
-        """Return kernel calls as :meth:`scatter`, for a share of a lobe; ``towards`` may have a direction per ray."""
+        """Return the kernel calls of :meth:`scatter` with the weight ``share``.
+
+        ``towards`` has a direction to the light for each ray, or is empty, and then the lobe's direction applies.
+        """
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
         inputs = [
@@ -126,12 +136,15 @@ class LobePass(LightPass):
     def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
         """Return kernel calls that change the geometry factors of a lobe, for example by an emission profile.
 
-        The light of the pigment and the marks of illuminated pixels do not include these changes.
+        They do not change the light of the pigment, or which pixels are marked as illuminated.
         """
         return []
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: the pixel filter's, widened by a lobe's extent and position."""
+        """Return kernel calls that compute footprints: the pixel filter's, widened by the extent of the light.
+
+        For a point light, the direction to the light also changes across a footprint.
+        """
         rays, pixels, footprints = self.context.rays, batch.gbuffer.pixels, [batch.samples.footprints]
         calls = [self.filter_footprints(batch)]
         if self.part.lobes[lobe].position is not None:
@@ -143,7 +156,7 @@ class LobePass(LightPass):
         return calls
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of a lobe, one material after the other."""
+        """Return the kernel calls that look up the colours of a lobe, separately for the faces of each material."""
         calls, footprints = [], None
         if lookup.plan.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints

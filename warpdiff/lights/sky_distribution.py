@@ -1,4 +1,4 @@
-"""Distributions of sampled directions under a sky: over (u, v) by the surface's colours, and over blocks of the sky."""
+"""Distributions from which a sky's samples are drawn: one over (u, v), by the surface's colours; one over the sky."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Rings per octave of |(u, v)|, largest |(u, v)|, and radius of the disc inside the first ring, in standard deviations
-# of an order's lobe. Choices: they change the noise, not the mean.
+# Rings of the distribution per octave of |(u, v)|, and its largest |(u, v)|. A disc replaces the rings within
+# ``_DISC_RADIUS`` standard deviations of an order's lobe. Choices: they change the noise, not the mean.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
 # Distance of azimuth samples on a ring, in standard deviations of the lobe of an order, and the fewest and the most
-# samples per ring. Limit: at most 64 samples per ring increase errors by half (docs/decisions/environments.md).
+# samples per ring. Limit: with at most 64 samples per ring, errors are 1.5 times as large
+# (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
-# Values of |w| = cos θi + cos θr at which the surface's colours are averaged. Choice: they change the noise, not the
-# mean.
+# Values of |w| = cos θi + cos θr. The distribution over (u, v) is the mean of the surface's colours at these values.
+# Choice: they change the noise, not the mean.
 _WS = (0.8, 1.3, 1.8)
-# Standard deviation of a look-up's footprint, in sizes of the (ring, azimuth) cell. Choice: wider look-ups blur the
-# distribution.
+# Standard deviation of the footprint of the look-up of one azimuth sample, relative to the distance of samples. Choice:
+# wider look-ups blur the distribution.
 _WIDTH = 0.4
-# Share of a ring's samples that are distributed evenly over its azimuths, and of all samples over the rings. Reason:
-# points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at others.
+# Share of a ring's samples that are distributed evenly over its azimuths, and share of all samples that are distributed
+# evenly over the rings. Reason: points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at others.
 _EVEN_SHARE = 0.05
-# Number of grid cells along a side of a block of the sky. Limit: smaller blocks use more memory and time to search.
+# Number of cells of the sky's grid along a side of a block, for which one density is stored. Limit: smaller blocks use
+# more memory and time to search.
 _CELLS_OF_BLOCK = 4
 
 
@@ -51,10 +53,10 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
 
 
 def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
-    """Return the look-up of colours under a sky, made or found again.
+    """Return the look-up for skies, from a cache: with the smaller table that suffices for them.
 
-    Directional lights of the same picture may need a table of eight times as many rings. It is not made for the sky's
-    spectra.
+    Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
+    spectra, and each of them would require such a table.
     """
     plan = lookup.plan
     rings, azimuths = polar_grid.size_for_skies(plan)
@@ -72,7 +74,7 @@ def distribution_for(
     """Return the struct ``SkyDistribution`` of a look-up and a sky; the look-up caches the surface's part.
 
     Args:
-        lookup: The look-up.
+        lookup: Look-up of the surface's colours.
         illuminated: Illuminated materials by material and spectrum.
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
@@ -89,7 +91,7 @@ def distribution_for(
 def _of_surface(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
 ) -> tuple[wp.array | float, ...]:
-    """Return the arrays and numbers of the surface's distribution over (u, v), as ``SkyDistribution`` stores them."""
+    """Return the fields of ``SkyDistribution`` that depend on the surface alone: the distribution over (u, v)."""
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv
     per_log = _RINGS_PER_OCTAVE / math.log(2.0)
@@ -105,7 +107,7 @@ def _of_surface(
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # The light of an azimuth sample is its colour times its area in (u, v).
+    # The power of an azimuth sample is its X + Y + Z times the area in (u, v) that it represents.
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area
@@ -125,7 +127,7 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return X + Y + Z at points of (u, v), shape (n,): sums over materials and spectra, means over ``_WS``."""
+    """Return X + Y + Z at points of (u, v), shape (n,), added over materials and spectra, mean over |w| in ``_WS``."""
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
     vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)
@@ -140,9 +142,10 @@ def _luminances(
 
 
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return cumulative shares of light by rows and by columns of a sky's blocks, and the blocks' densities."""
+    """Return the distribution over a sky's blocks: cumulative shares of rows, of blocks in a row, and densities."""
     bright = grid.powers.sum(axis=2)
-    # Light is interpolated linearly between cells, so that a bright cell also illuminates the cells next to it.
+    # Kernels interpolate the sky between the centres of cells. A bright cell therefore also brightens the cells next to
+    # it, which may be in another block.
     bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
     bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
     rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)

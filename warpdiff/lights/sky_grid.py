@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 
 # Number of rows of the latitude-longitude grid, 0.35° each. Limit: twice as many take four times the memory.
 ROWS = 512
-# Angular radius of a sun [rad]: ``_SUN_REACH``, or ``_SUN_PIXELS`` pixels of the image if that is larger. Limit: beyond
-# ``_FARTHEST_SUN_REACH`` no suns are extracted, as one Gaussian lobe is too coarse for larger lights.
+# Angular radius within which bright pixels count as one sun [rad]: the larger of ``_SUN_REACH`` and ``_SUN_PIXELS``
+# pixels of the image. No suns are extracted if it exceeds ``_FARTHEST_SUN_REACH``. Limit: one Gaussian lobe is too
+# coarse for larger lights.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
-# Largest brightness around a sun, relative to its brightest cell; least share of a sun in all light; largest number of
-# suns. Choices: other bright parts remain in the sky, where they cause more noise.
+# A sun requires surroundings of at most ``_AROUND_SUN`` of its brightness, and at least ``_SUN_SHARE`` of the sky's
+# light; at most ``_MOST_SUNS`` are extracted. Choices: other bright parts remain in the sky, where they cause more
+# noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
@@ -43,7 +45,7 @@ class SkyGrid:
         spectra: Three illuminants, which add up to any colour.
         powers: Power per solid angle by spectrum, in the directions of :func:`grid_directions`.
         turn: Rotation about +y [rad].
-        directions: Number of directions per pixel in pictures with ``refine=False``.
+        directions: Number of directions that are drawn for each pixel with ``refine=False``.
         device_arrays: Cache of this grid's arrays, by the device's name.
     """
 
@@ -72,7 +74,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """Return a sky on the grid without its suns, and the suns; the cells of the grid are too wide for suns."""
+    """Return a sky on the grid without its suns, and the suns, which are too small for the cells of the grid."""
     grid = _on_grid(radiance)
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []
@@ -113,7 +115,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
         towards /= np.linalg.norm(towards)
     if bright[around].max() > _AROUND_SUN * brightest:
         return None
-    # The brightness of the surroundings remains in the sky where the sun was.
+    # The sky keeps the brightness of the sun's surroundings in the place of the sun.
     share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
     rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
     rest = grid.copy()
@@ -131,7 +133,10 @@ def grid_directions() -> NDArray[np.float64]:
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return radiance on the grid, shape (ROWS, 2 ROWS, 3): means over cells, or interpolated between larger pixels."""
+    """Return radiance on the grid, shape (ROWS, 2 ROWS, 3).
+
+    Smaller pixels are averaged over the cells of the grid; larger pixels are interpolated.
+    """
     result = radiance.astype(np.float64)
     if len(result) < ROWS:
         rows, columns = len(result), result.shape[1]
@@ -145,7 +150,7 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:
-            # Rows are weighted by solid angle.
+            # The mean over rows is weighted by their solid angles.
             edges, targets = (0.5 - 0.5 * np.cos(math.pi * places) for places in (edges, targets))
         result = np.moveaxis(result, axis, 0)
         sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(edges)[:, None, None], 0)])

@@ -1,4 +1,4 @@
-"""Pass of a sky: directions drawn by the brightness of the surface and the sky, each with a shadow ray."""
+"""Pass of a sky: each ray draws directions where the surface and the sky are bright, and traces shadow rays to them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ if TYPE_CHECKING:
     from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.tables.lookup import ColourLookup
 
-# Share of the samples that are drawn from blocks of the sky, without and with a pigment. Choices: they change the
-# noise, not the mean. A pigment reflects light from all directions, so that more samples come from the sky.
+# Share of the samples that are drawn by the brightness of the sky alone, without and with a pigment. Choices: they
+# change the noise, not the mean. A pigment reflects light from all directions, so that more samples come from the sky.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of samples per pixel before pixels are subdivided. Choice: they only estimate the brightness of the picture.
+# Number of samples per pixel before pixels are subdivided. Choice: their colours only serve to estimate the reference
+# luminance of the picture.
 _FIRST_SAMPLES = 4
 
 
 class SkyPass(LightPass):
-    """Pass of a sky; the environment caches the grid and the grid's arrays on devices.
+    """Pass of a sky. The environment caches the grid of the sky and the arrays of the grid on a device.
 
     Attributes:
         grid: Grid of the sky's powers.
@@ -45,16 +46,16 @@ class SkyPass(LightPass):
 
     @property
     def lobe_count(self) -> int:
-        """Number of samples per pixel with one ray per pixel."""
+        """Number of samples per pixel if pixels are not subdivided."""
         return self.grid.directions
 
     @property
     def first_lobes(self) -> range:
-        """Samples that are evaluated with one ray per pixel; only a few if subpixel cells follow."""
+        """Samples that are evaluated with one ray per pixel: all of them, or only a few if subpixel cells follow."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample per cell in refined pictures; otherwise the cells share the samples of a pixel."""
+        """Return one sample per cell if pixels are refined; otherwise the cells of a pixel share its samples."""
         return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
@@ -68,7 +69,7 @@ class SkyPass(LightPass):
         if isinstance(previous, SkyPass) and previous.grid is self.grid:
             self._lights, self._sky, self._blocks = previous._lights, previous._sky, previous._blocks
             return
-        # Kernels read the strength of the pigment from the array ``strengths``, as for lobes.
+        # A sky has no lobes, but kernels read the strength of the pigment from the array of lobes' powers.
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._sky = sky_samples.Sky()
         self._sky.powers, *self._blocks = self.grid.device_arrays.get_or_make(
@@ -79,7 +80,10 @@ class SkyPass(LightPass):
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the kernel call that computes scattering vectors for light from the mirror direction."""
+        """Return the kernel call that computes scattering vectors for light from the mirror direction.
+
+        Footprints depend on them. The directions to the light are drawn later, by :meth:`colour`.
+        """
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]

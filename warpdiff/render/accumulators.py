@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-# Fields of ``Accumulators`` that have separate arrays for a single light.
+# Fields of ``Accumulators`` that a picture stores twice under several lights: for the present light, and added over all
+# lights.
 _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 
@@ -16,12 +17,12 @@ class Accumulators:
 
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
-        coverage: Shares of hits; all lights share this array.
-        coverage_levels: Sum of the levels of the tiles from which the coverage was computed; empty if pixels show
-            points. All lights share this array.
+        coverage: Share of each pixel that the mesh covers; all lights use the same array.
+        coverage_levels: Sum of the levels of the nine tiles from which the coverage was computed; empty if pixels show
+            points. All lights use the same array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
-        edges: Whether an edge passes through the pixel, according to its cells; all lights share this array.
+        edges: Whether an edge of the mesh or of a shadow passes through the pixel; all lights use the same array.
     """
 
     xyz: wp.array
@@ -33,7 +34,7 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return the sums of a number of pixels, initially zero, with arrays for errors if pixels show ``means``."""
+        """Return sums for a number of pixels, set to zero. Arrays of errors and edges are empty without ``means``."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)
@@ -44,7 +45,10 @@ class Accumulators:
         )  # fmt: skip
 
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
-        """Return sums for a single light that share coverage and edges; other arrays are taken from ``previous``."""
+        """Return sums for a single light, with the coverage and edges of these sums.
+
+        The other arrays are those of ``previous``, or new ones if it is None.
+        """
         own = {
             name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)
             for name in _OF_ONE_LIGHT

@@ -1,4 +1,4 @@
-"""Tiles on a GPU: the device fills and empties lists of tiles without the host, so that launches can be recorded."""
+"""Tiles on a GPU: kernels list and count the tiles, without work on the host, so that launches can be recorded."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ if TYPE_CHECKING:
 
     from warpdiff.render.refinement import LightRefinement
 
-# Largest number of rays in the buffers. Limit: memory is proportional to it, and fewer rays leave threads without work.
+# Largest number of rays in the buffers. Limits: memory is proportional to it; with fewer rays, some threads of the GPU
+# have no work.
 _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor for launches that need no host; launches do nothing if no tile is left.
+    """Tile executor whose launches can be recorded. A launch does nothing if no tile is left.
 
     Attributes:
-        floor: Least luminance that errors are relative to, (1,).
-        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
-            neither (0).
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
+        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
+            else 0.
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate arrays of fixed size, as recorded launches require, for pictures under lights of this kind."""
+        """Allocate arrays for pictures of the size and kind of this light's. A recorded graph requires fixed arrays."""
         rays = light.light_pass.context.rays
         device = rays.options["device"]
 
@@ -47,13 +48,13 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # The buffers always have the arrays of sampled lights, as a later light may be sampled.
+        # Later lights of the picture use the same buffers. They may be sampled lights, which require additional arrays.
         kind = light.buffer_kind._replace(is_sampled=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
     @property
     def count(self) -> int:
-        """Number of pixels that were subdivided; under several lights, the largest number of a light."""
+        """Number of pixels that were subdivided under one light; under several lights, the largest of these numbers."""
         return int(self._largest_count.numpy()[0])
 
     def _launch(
@@ -62,14 +63,14 @@ class DeviceTiles:
         launch(kernel, self._pixels if size is None else size, inputs, outputs, in_runs=True, **self._options)
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:  # noqa: ARG002 (of the host's groups)
-        """Launch a kernel call over all pixels."""
+        """Launch a kernel call over all pixels of the picture."""
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing: previews, which would reuse tiles, exist only on the host."""
+        """Do nothing. Only previews reuse the results of tiles, and pictures on a GPU have no previews."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the floor of errors from a histogram, as exact percentiles would require the host."""
+        """Begin a light: compute the floor of errors from a histogram of luminances, without work on the host."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]
@@ -77,12 +78,15 @@ class DeviceTiles:
         self._marked_count.zero_()
 
     def end(self, light: LightRefinement) -> None:
-        """Update the largest number of subdivided pixels of a light."""
+        """Update :attr:`count` with the number of pixels that were subdivided under this light."""
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the whole picture as one group; its tiles are the marked pixels and the eight pixels around each."""
+        """Yield the whole picture as one group.
+
+        The tiles of the group are the marked pixels and the eight pixels around each.
+        """
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
@@ -93,7 +97,7 @@ class DeviceTiles:
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the cells of tiles in batches that fit the buffers until no tile is left; −1 is no tile."""
+        """Shade the cells of all tiles of a level, in batches that fit the buffers. In a batch, −1 is no tile."""
         calls = light.shade_cells(level, self._buffers, group.sums)
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def layers_of(
     surface: Surface, view: View, names: tuple[str, ...], *, smooth: bool, device: wp.Device, threads: int
 ) -> dict[str, NDArray[Any]]:
-    """Return the layers of a picture by name, see :attr:`warpdiff.Image.layers`."""
+    """Return a dictionary of the layers of a picture, which :attr:`warpdiff.Image.layers` describes."""
     rays = rays_for(surface, view, smooth=smooth, device=device, threads=threads)
     rays.launch(rays.trace(0, 1))
     pixels = rays.gbuffer.pixels
@@ -44,7 +44,10 @@ def layers_of(
 def _distances(
     surface: Surface, view: View, face: NDArray[np.int32], place: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return distances to hits [mesh units]; ``place`` has the first two barycentric coordinates, (n, 2)."""
+    """Return distances from the camera to hits [mesh units].
+
+    ``place`` has two barycentric coordinates of each hit, (n, 2).
+    """
     barycentric = np.column_stack([place, 1.0 - place.sum(axis=1)])
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
     points = np.einsum("nk,nkc->nc", barycentric, corners) * surface.radius + surface.centre

@@ -43,24 +43,27 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Share of a light's progress at which its first rays, one per pixel, are done. Fitted: picture at a tolerance of 1e-1.
+# Progress of a light [0 to 1] at which its colours with one ray per pixel are complete, and refinement begins. Fitted
+# to the time of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. Fitted to the snake: 20 at tolerance 1e-1, 59 at 3e-2.
+# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
+# time if there are many shadow rays. Fitted to the snake: 20 at a tolerance of 0.1, 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: threads have less even
-# work with longer slices, and more launches with shorter ones.
+# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
+# distribute work less evenly over threads; shorter ones require more launches.
 _COLOURS_OF_SLICE = 2048
 
 
 def load_kernels(device: wp.Device) -> None:
-    """Begin to load the kernels that every picture requires, in the background while the mesh is prepared."""
+    """Begin to load the kernels that every picture requires. Loading continues while the caller prepares the mesh."""
     load([primary_hits.intersect_known_faces, light_samples.scattering_vectors, trace_shadow_rays], device)
 
 
 class Picture:
-    """A picture of a surface, whose view and lights may change between renderings.
+    """Picture of a surface, whose view and lights may change between renderings.
 
-    :meth:`set_lights` makes the passes of the lights, and :meth:`render` or :meth:`render_directly` fills the sums.
+    :meth:`set_lights` makes the passes of the lights. :meth:`render` or :meth:`render_directly` then computes the
+    colours.
     """
 
     def __init__(
@@ -71,17 +74,18 @@ class Picture:
         """Allocate the arrays of a picture.
 
         Args:
-            surface: The surface.
-            view: The first view.
-            optics: The optics of the surface.
+            surface: The prepared mesh.
+            view: Camera of the first rendering; later ones may have other cameras.
+            optics: Optics of the surface, except for the diffraction of its height field.
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
-            means: Whether pixels show means over footprints, which begin with one ray per pixel.
+            means: Whether pixels show means over footprints; otherwise they show points.
             refine: Whether pixels that show means are subdivided further where their errors are large.
-            margin: Number of additional pixels on each side, which the filters of the outermost pixels cover.
+            margin: Number of pixels that are added on each side, because the filter of a pixel at the border extends to
+                them.
             materials_of_faces: Index of each face's material; None for a single material.
-            device_driven: Whether launches need no host on the CPU, too, so that they can be recorded. Pictures take
-                longer then.
+            device_driven: Whether the CPU uses the algorithms of the GPU, whose launches can be recorded. On the CPU
+                they are slower.
             device: The Warp device.
             threads: Number of threads on the CPU.
         """
@@ -96,7 +100,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # Sums of a single light are separate arrays only if means under several lights are added.
+        # Only pictures of means under several lights have separate arrays for the sums of a single light: see
+        # ``set_lights``.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -108,11 +113,11 @@ class Picture:
 
     @property
     def view(self) -> View:
-        """The last view."""
+        """View of the last rendering."""
         return self.rays.view
 
     def set_view(self, view: View) -> None:
-        """Set the view, of the same size as any before."""
+        """Set the view, which must have the same size in pixels as the first one."""
         self.rays.set_view(view)
         self.invalidate()
 
@@ -121,9 +126,12 @@ class Picture:
         self.sampler.invalidate()
 
     def set_lights(self, parts: Sequence[LightPart]) -> None:
-        """Set the lights; their passes reuse the arrays of the previous passes, which a recorded graph reads."""
+        """Set the lights.
+
+        Their passes reuse the arrays of the previous passes, because a recorded graph reads these arrays.
+        """
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
-        # If a light is refused here, the previous lights remain in use.
+        # Making a pass may raise an error about its light. The previous passes are then still in use.
         passes = [part.make_pass(self.context) for part in parts]
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
@@ -131,7 +139,8 @@ class Picture:
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
-            # The sums of a single light stay in the same arrays, because a recorded CUDA graph reads them there.
+            # The arrays for the sums of a single light are allocated once, because a recorded CUDA graph refers to
+            # them.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 
     @property
@@ -141,11 +150,11 @@ class Picture:
         return *passes, self.view.extent_y is None, self.context.casts_shadows
 
     def measure_directions(self, heightfield: HeightField) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the range of all illuminated directions, a sample of these directions, and their number."""
+        """Return the directions for which a plan is required: their range, a sample of them, and their number."""
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Process all lobes of all samples; yield each lobe and its share of the progress."""
+        """Compute samples for every ray of a pixel and every lobe; yield the lobe and its share of the progress."""
         lobes = list(self.sampler.lobes())
         count = self._samples_per_pixel * len(lobes)
         for sample in range(self._samples_per_pixel):
@@ -156,14 +165,14 @@ class Picture:
     def render(
         self, lookup: ColourLookup, *, tolerance: float, progress: Progress = None, previews: Previews = ()
     ) -> None:
-        """Add the colours of all samples and lights.
+        """Compute the picture by look-ups of colours.
 
         Args:
-            lookup: Look-up of the colours.
+            lookup: Look-up of the colours by the table or the wavelengths of a plan.
             tolerance: Tolerance of the picture.
             progress: Callable that gets the share that is done; None reports nothing.
-            previews: Larger tolerances, the largest first, each with a callable, which is called once the picture
-                meets the tolerance. Previews have no effect on a GPU.
+            previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
+                when the picture meets the tolerance. Previews have no effect on a GPU.
         """
         if lookup.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
@@ -175,11 +184,12 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
-        # A recorded graph runs all launches without the host, so that it cannot stop for previews.
+        # The host calls the callables of previews. A recorded graph runs without the host, and cannot stop for them.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:
-            # Each light is refined completely before the next, so that a preview requires a separate picture.
+            # Lights are refined one after the other, each to its final tolerance. For a preview, all lights are
+            # rendered at the preview's tolerance first.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)
@@ -192,7 +202,7 @@ class Picture:
     def _render_means(
         self, lookup: ColourLookup, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
-        """Add the colours of all lights as means over pixels, one light after the other."""
+        """Compute pixels as means over footprints, one light after the other."""
         self._sums.clear_errors()
         of_light, count = self._light_sums, len(self._passes)
         if count > 1:
@@ -221,7 +231,7 @@ class Picture:
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
     def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
-        """Add the colours of one ray per pixel under the first lobes of a light."""
+        """Compute the colours of one ray per pixel under a light, before pixels are subdivided."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
         for at, lobe in enumerate(lobes):
@@ -232,7 +242,7 @@ class Picture:
             )  # fmt: skip
 
     def render_directly(self, heightfield: HeightField, plan: Plan, *, progress: Progress) -> None:
-        """Add the colours of all samples and lights by the direct sum."""
+        """Compute the picture by the direct sum, for all rays and lights."""
         for index, share in self._sampled(progress):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
             by_material = self._passes[index.light].illuminated[index.lobe]
@@ -276,14 +286,15 @@ class Picture:
 
         contrasts = None
         if self._means:
-            # Contrasts include the margin, so that the outermost pixels of the view have neighbours, too.
+            # Contrasts are computed before the margin is removed, because pixels at the border require all their
+            # neighbours.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
-        # The number of subdivided pixels includes the margin and pixels where only cells hit the mesh. Therefore
-        # this number may exceed the number of covered pixels.
+        # The number of subdivided pixels includes the margin, and pixels whose centre misses the mesh. It may therefore
+        # exceed the number of covered pixels.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

@@ -39,20 +39,25 @@ if TYPE_CHECKING:
 _CELL_SIGMA_PER_SPACING = 0.4
 # Least level of pixels at silhouettes of the mesh, 4 × 4 cells. Choice: each further level quadruples the time there.
 SILHOUETTE_LEVEL = 2
-# Fewest and most rays per slice. Limits: shorter slices spend more time on launches, longer ones use more memory.
+# Fewest and most rays that a thread shades in one launch. Limits: fewer rays spend more time on launches, more rays use
+# more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
-# Largest number of rays that are rasterized together. Limit: each takes eight bytes.
+# Largest number of rays that are rasterized together. Limit: each ray takes eight bytes.
 _MOST_RASTERIZED = 1 << 24
 
 
 def level_of(samples: int, *, means: bool) -> int:
-    """Return the coarsest level with at least this number of rays per pixel, within the supported levels."""
+    """Return the coarsest supported level with at least this number of cells per pixel."""
     least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
 
 def deviation_at(level: int, *, means: bool) -> float:
-    """Return the standard deviation of a ray's filter [pixels]: of a pixel, or of a cell; 0 if pixels show points."""
+    """Return the standard deviation of the filter of a ray [pixels].
+
+    Level 0 is a ray with the pixel filter, higher levels are cells. If pixels show points, rays have no filter, and the
+    result is 0.
+    """
     if not means:
         return 0.0
     # The pixel filter is truncated, which makes its standard deviation 1 % smaller than that of the Gaussian.
@@ -76,9 +81,9 @@ def places_at(level: int, device: str) -> wp.array:
 
 @functools.cache
 def weights_at(level: int, means: bool, device: str) -> wp.array:
-    """Return the weights of cells along one axis, from three pixels in a row, for the middle pixel; their sum is 1.
+    """Return the weights, along one axis, of the cells of three pixels in a row for the middle pixel; their sum is 1.
 
-    The weights are such that the weighted sum of the cells' own filters is the pixel filter.
+    Each cell has a narrow filter. The weighted sum of these filters is the pixel filter.
     """
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
@@ -96,31 +101,31 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
     """Return factors that normalise the weights of cells, one row per level from 0 on, shape (n, 3).
 
-    A factor is the filter's share in one of three pixels in a row over the sum of the weights there. The array is on
-    the named device.
+    In each of three pixels in a row, the sum of the cells' weights differs from the share of the pixel filter there.
+    The factor is the ratio of this share to that sum. The array is on the named device.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # Level 0 has no cells; its row of ones is not used.
+    # Level 0 has no cells. Its row of ones is not used, but the index of a row is then its level.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Yield parts of a list of pixels, such that the rays of a part do not exceed ``_MOST_RASTERIZED``."""
+    """Yield consecutive parts of a list of pixels; each part has at most ``_MOST_RASTERIZED`` cells."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
 
 
 def slices(count: int, level: int, threads: int) -> Iterator[range]:
-    """Yield ranges of pixels whose cells one thread processes together."""
+    """Divide ``count`` pixels into ranges, each of which one thread shades in one launch."""
     rays = rays_at(level)
     return slices_of(count, least=-(-_LEAST_RAYS // rays), most=MOST_RAYS // rays, threads=threads)
 
 
 def most_threads(pixels: int) -> int:
-    """Return the largest number of threads that have enough work if a number of pixels is refined."""
+    """Return the number of threads beyond which a thread would have fewer than ``_LEAST_RAYS`` rays."""
     return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
@@ -148,7 +153,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the floor of relative errors: a small share of the luminance that few illuminated pixels exceed."""
+    """Return the floor of relative errors, ``FLOOR`` times the luminance that 1 % of the illuminated pixels exceed."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)
@@ -157,7 +162,7 @@ def floor_of(colours: wp.array, illuminated: wp.array) -> float:
 
 
 def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the largest ‖ΔXYZ‖ between each pixel and its four direct neighbours, shape (height, width)."""
+    """Return for each pixel the largest ‖ΔXYZ‖ to one of its four direct neighbours, shape (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
         steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)

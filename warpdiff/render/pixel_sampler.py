@@ -1,4 +1,4 @@
-"""Pixel sampler: rays of whole pixels, as opposed to subpixel cells, under one lobe of one light at a time."""
+"""Pixel sampler: traces one ray for each pixel, and computes its sample under one lobe of one light at a time."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Limits of the rays whose directions are measured; time is proportional to them. If pixels show
+# Limits of the rays whose directions are measured to choose a plan; time is proportional to them. If pixels show
 # points, at most ``_SAMPLES_MEASURED`` rays per pixel are measured. If pixels show means over footprints, about
-# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. Cells have directions
-# that pixel centres do not have.
+# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. These rays are spread
+# over the pixel, because cells have directions that pixel centres do not have.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -37,10 +37,10 @@ class LobeIndex(NamedTuple):
 
 
 class PixelSampler:
-    """Samples of all pixels with one ray each under one lobe; :meth:`scatter` fills the arrays.
+    """Sampler that traces one ray for each pixel, and samples one lobe at the hits.
 
     Attributes:
-        samples: Samples of the last lobe at the hits of the last ray of each pixel.
+        samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
     """
 
     def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int) -> None:
@@ -60,7 +60,10 @@ class PixelSampler:
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
-        """Set the passes of the lights. Hits of rays remain valid; samples of the previous lights do not."""
+        """Set the passes of the lights. Hits of rays remain valid.
+
+        Samples are discarded, as they belong to previous lights.
+        """
         self._passes, self._lobe = passes, None
         if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
             rays, device = self._context.rays.size, self._context.device
@@ -70,7 +73,7 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield the lobes of all passes whose directions are measured; if pixels show points, all are measured."""
+        """Yield the lobes whose directions are measured for the plan. If pixels show points, these are all lobes."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
@@ -98,10 +101,10 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Process a lobe at one sample of every pixel, and add the light of the pigment.
+        """Compute the samples of a lobe for one ray of every pixel, and add the light of the pigment.
 
-        The method does nothing if the previous call had the same sample and lobe. Rays are traced first if the present
-        hits are those of another sample.
+        ``sample`` is the number of the ray among the rays of a pixel. Rays are traced first unless the hits are already
+        those of this ray. The method does nothing if the previous call had the same ray and lobe.
         """
         if (self._sample, self._lobe) == (sample, index):
             return
@@ -109,14 +112,15 @@ class PixelSampler:
         count = samples_per_pixel or self._samples_per_pixel
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
-            # The estimated number of shadow rays, in proportion to the number of hits, decides how they are traced.
+            # The number of hits must be known first: with many shadow rays, grids of occluders save time.
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # If pixels show means, each light has separate sums of colours, while hits are counted once.
+        # If pixels show means, the sum of colours is set to 0 for each light. Hits are counted under the first light
+        # only.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
@@ -132,13 +136,14 @@ class PixelSampler:
     def measure_directions(
         self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
     ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the range of all illuminated directions, a sample of these directions, and their number.
+        """Return the illuminated directions, for which a plan is made: their range, a sample of them, and their number.
 
-        The directions come from a separate pass over the rays, which takes about 1 % of the time of the colours.
+        Rays are traced separately for this. Measuring takes about 1 % of the time of the colours.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())
-        # A few samples per pixel represent all samples, or several rays per pixel represent the subpixel cells.
+        # Pixels that show points are measured with some of their rays. For pixels that show means, several rays per
+        # pixel represent the subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -146,7 +151,8 @@ class PixelSampler:
             per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
         for sample in range(measured):
             for index in lobes:
-                # If pixels show means, the first ray passes through the pixel centre, as in the picture.
+                # If pixels show means, the first ray passes through the pixel centre. The rays of level 0 in the
+                # picture do the same.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 scattering_vectors, to_lights, gains = self.directions()
                 within = within.joined(

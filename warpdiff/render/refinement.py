@@ -1,7 +1,8 @@
 """Refinement: selection of the pixels that are subdivided into cells, and of the level of each.
 
-One loop serves both kinds of device. A :class:`TileExecutor` shades the cells. On the CPU, the host lists the tiles of
-each level, reports progress and can be cancelled. A GPU lists tiles without the host, so that launches can be recorded.
+:class:`RefinementLoop` is the same for the CPU and GPUs; a :class:`TileExecutor` shades the cells. On the CPU, the host
+lists the tiles of each level, reports progress, and stops if the caller cancels. On a GPU, kernels list the tiles
+without the host, so that launches can be recorded.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import ColourLookup
 
-# Number of pixels per slice of a launch on the CPU. Fitted: launches then take 1 % of the kernels' time.
+# Number of pixels per slice of a launch on the CPU. Fitted: the overhead of launches is then 1 % of the kernels' time.
 SLICE = 32_768
 
 
@@ -37,10 +38,11 @@ class RefinementPolicy:
     """Rule by which pixels are subdivided.
 
     Attributes:
-        tolerance: Tolerance of the picture.
+        tolerance: Tolerance of the picture, or of a preview.
         least_level: Level to which all pixels are subdivided.
         refine: Whether pixels with larger estimated errors are subdivided further.
-        is_sampled: Whether each cell draws a direction to the light. Level 1 then has too few cells to estimate noise.
+        is_sampled: Whether each cell draws a direction to the light. If so, the base level is at least 2, because the
+            four cells of level 1 are too few to estimate noise.
     """
 
     tolerance: float
@@ -50,36 +52,36 @@ class RefinementPolicy:
 
     @property
     def subdivides(self) -> bool:
-        """Whether any pixels are subdivided."""
+        """Whether pixels are subdivided at all."""
         return self.refine or self.least_level > 0
 
     @property
     def base_level(self) -> int:
-        """Level that is shaded first, and from which the level of each tile is selected."""
+        """Level of the first cells of a tile; the colours of these cells determine the level at which the tile ends."""
         return max(self.least_level, 2 if self.is_sampled else 1)
 
     @property
     def most_level(self) -> int:
-        """Finest level of tiles."""
+        """Finest level at which tiles may end."""
         finest = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
         return max(finest, self.base_level) if self.refine else self.base_level
 
     @property
     def silhouette_level(self) -> int:
-        """Least level of pixels at silhouettes."""
+        """Least level at which pixels end if the outline of the mesh passes through them."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
 @dataclass(frozen=True)
 class LightRefinement:
-    """Light of a picture whose pixels are refined: its colours by one ray per pixel, and the kernel calls.
+    """Inputs of the refinement under one light, starting from colours by one ray per pixel; makes the kernel calls.
 
     Attributes:
-        light_pass: The pass of the light.
+        light_pass: Pass that samples the light and looks up its colours.
         lookup: Look-up of the light's colours.
-        batch: The rays of whole pixels under the last lobe.
+        batch: The rays of whole pixels, whose colours are computed already.
         sums: Colours, errors and illuminated pixels of the light, which refinement updates.
-        policy: The rule of subdivision.
+        policy: Rule by which pixels are subdivided.
         is_first: Whether this is the first light of the picture.
     """
 
@@ -92,7 +94,7 @@ class LightRefinement:
 
     @property
     def buffer_kind(self) -> BufferKind:
-        """Kinds of arrays that the cells require."""
+        """Flags for the optional arrays of tile buffers that this light requires."""
         context = self.light_pass.context
         return BufferKind(
             self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.is_sampled
@@ -100,7 +102,7 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays that ``resolve_pixels`` writes."""
+        """Arrays that the kernel ``resolve_pixels`` overwrites."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
@@ -115,7 +117,7 @@ class LightRefinement:
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
-        """Return kernel calls that trace and shade the cells in the buffers, and splat them to surrounding pixels."""
+        """Return kernel calls that trace and shade the cells in the buffers, and add them to sums for nine pixels."""
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
         sampling = Sampling()
@@ -132,7 +134,10 @@ class LightRefinement:
         return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
-        """Return the kernel call that sets pixels to weighted sums over the cells of nine tiles."""
+        """Return the kernel call that sets pixels to weighted sums over cells.
+
+        The cells are those of the pixel's own tile and of the eight tiles around it.
+        """
         rays = self.light_pass.context.rays
         inputs = [
             group.sums, group.pixels, marks, rays.width, rays.height,
@@ -141,7 +146,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that selects the final levels of the tiles that have this level."""
+        """Return the kernel call that decides whether tiles at ``level`` are refined further, and to which level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -153,7 +158,7 @@ class LightRefinement:
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> subdivision.FilteredSums:
-        """Return the struct ``FilteredSums`` of the kernels for a number of tiles."""
+        """Return the struct ``FilteredSums`` of the kernels for a number of tiles, without values yet."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
@@ -172,8 +177,8 @@ class TileGroup:
     """Group of pixels that are subdivided together, with the tiles whose cells they use.
 
     Attributes:
-        pixels: Pixels to resolve; empty, on a GPU, stands for the whole picture.
-        tiles: The tiles; empty, on a GPU, stands for all pixels that have a level.
+        pixels: Pixels that use cells. On a GPU the array is empty, and marks of pixels are used instead.
+        tiles: Pixels that are subdivided for the group. On a GPU the array is empty, and ``levels`` is used instead.
         sums: Sums over the cells of the tiles, the struct ``FilteredSums`` of the kernels.
         levels: For each pixel of the picture, the level of its tile; 0 is no tile.
         share: Beginning and end of the group as shares of the light's progress.
@@ -187,12 +192,12 @@ class TileGroup:
 
 
 class TileExecutor(Protocol):
-    """Executor that shades the tiles which the loop requests.
+    """Interface of executors, which shade the tiles that :class:`RefinementLoop` requests.
 
     Attributes:
-        floor: Least luminance that errors are relative to, (1,).
-        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
-            neither (0).
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
+        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
+            else 0.
     """
 
     floor: wp.array
@@ -200,22 +205,28 @@ class TileExecutor(Protocol):
 
     @property
     def count(self) -> int:
-        """Number of pixels that were subdivided; under several lights, the largest number of a light."""
+        """Number of pixels that were subdivided under one light; under several lights, the largest of these numbers."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
+        """Delete the stored results of tiles. With ``keep``, results are stored from now on.
+
+        The results at a preview's tolerance are reused at the next, finer tolerance.
+        """
 
     def begin(self, light: LightRefinement) -> None:
         """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the groups of the marked pixels; the tiles of a group are these pixels and the eight around each."""
+        """Yield groups of the marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Shade the cells of a group's tiles at a level, and splat the cells to surrounding pixels."""
+        """Shade the cells of those tiles of a group that have this level, and add them to the sums of the group."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over the pixels or tiles of a group, or over all pixels of the picture."""
+        """Launch a kernel call over ``elements``, which are pixels or tiles of a group.
+
+        A GPU uses all pixels of the picture.
+        """
 
     def end(self, light: LightRefinement) -> None:
         """Finish the refinement of a light."""
@@ -225,7 +236,7 @@ class RefinementLoop:
     """Loop that refines the pixels of a picture, one light after the other.
 
     Attributes:
-        tiles: Executor that shades the tiles.
+        tiles: Executor for the device of the picture.
     """
 
     def __init__(self, tiles: TileExecutor) -> None:
@@ -238,8 +249,8 @@ class RefinementLoop:
         """Refine a light: shade the base level, select the level of each tile, and shade those levels.
 
         The light is first refined to the larger tolerance of each preview, and then the preview's callable is called.
-        Previews do not change the final picture: each refinement begins from one ray per pixel. Refinements reuse the
-        results of tiles that were shaded before.
+        Previews do not change the final picture, because each refinement begins again from one ray per pixel. Cells
+        that were shaded for an earlier tolerance are reused.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
@@ -265,8 +276,9 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.is_sampled:
-                    # Levels are selected from filtered colours. Without the filter, dark pixels next to bright ones
-                    # would get too many cells.
+                    # The pixels are resolved before levels are selected, because errors are relative to the filtered
+                    # colour of a pixel. The unfiltered colour of a dark pixel next to a bright one is too small, and
+                    # the pixel would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

@@ -1,4 +1,4 @@
-"""``Renderer``: successive pictures of one surface, with lights and views that change."""
+"""``Renderer``: many pictures of one surface. Lights and view may change from one picture to the next."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ class Renderer:
         directions of later pictures are unknown. The method ``"direct"`` is only for single pictures.
 
         Args:
-            mesh: As for :func:`warpdiff.shade`.
-            heightfield: As for :func:`warpdiff.shade`.
+            mesh: Mesh with texture coordinates or tangents: see :func:`warpdiff.shade`.
+            heightfield: Height field, whose x axis lies along the tangents of the mesh.
             lights: Lights of the first picture.
             view: Camera of the first picture.
         """
@@ -108,13 +108,13 @@ class Renderer:
     def _from_parts(
         cls, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None
     ) -> Renderer:
-        """Return a renderer of checked inputs and a prepared mesh."""
+        """Return a renderer for inputs that are already checked and a mesh that is already prepared."""
         result = cls.__new__(cls)
         result._begin(inputs, surface, view, lookup)
         return result
 
     def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Make the plan, the tables and the picture; ``lookup`` has the tables of the same plan if they exist."""
+        """Make the plan, the tables and the picture. If ``lookup`` is given, it has the tables of this plan."""
         evaluation = inputs.evaluation
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
@@ -167,7 +167,7 @@ class Renderer:
     def __getstate__(self) -> dict[str, Any]:
         """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
-        # The default number of threads is not stored, as another machine may have another number of cores.
+        # The default number of threads is not stored: it is the number of cores, which may differ on another machine.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
@@ -223,10 +223,10 @@ class Renderer:
                 )
         with self._turn, picture_memory(mine.view):
             mine.is_drawn = False
-            # If lights are refused here, the previous lights and view remain in use.
+            # These checks may raise an error about the lights. The previous lights and view are then still in use.
             mine.picture.set_lights(parts)
             mine.parts = parts
-            # Hits remain valid until the view changes.
+            # Hits of rays depend on the view only, and remain valid until it changes.
             if view is not None:
                 mine.view = view
                 mine.picture.set_view(view)
@@ -264,12 +264,12 @@ class Renderer:
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
     def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
-        """Check previews; return their tolerances, the largest first, each with a function that calls the callable."""
+        """Check previews. Return their tolerances, the largest first, each with a function that reports the preview."""
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # The mapping is copied, as a callable may change it.
+        # The mapping is copied, because a callable may change the mapping during the picture.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:
@@ -308,9 +308,10 @@ class Renderer:
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
             return
-        # The old graph is deleted first, as arrays that it uses may be freed.
+        # The old graph is deleted first, because drawing may free arrays that the old graph uses.
         mine.graph = None
-        # The first launch loads kernels and makes arrays and tables, which must not be recorded.
+        # The picture is drawn once before it is recorded. This loads kernels and makes arrays and tables, which cannot
+        # be recorded.
         mine.picture.invalidate()
         self._launch(mine)
         mine.picture.invalidate()
@@ -329,14 +330,15 @@ class _ThreadPicture(threading.local):
     """Picture of one thread, made when the thread first uses it.
 
     Attributes:
-        picture: Arrays of the picture.
-        parts: Parts of the last lights.
-        view: The last view.
+        picture: Rays, passes and sums of this thread's pictures.
+        parts: Parts of the lights with which this thread drew last.
+        view: View with which this thread drew last.
         is_drawn: Whether the picture is complete.
         is_drawing: Whether the picture is being drawn.
         tolerance: Tolerance that the picture meets.
         graph: Recorded CUDA graph of the picture.
-        graph_is_for: Key of the recorded graph.
+        graph_is_for: Key of the picture for which the graph was recorded; a picture with another key requires a new
+            graph.
     """
 
     def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
@@ -347,5 +349,5 @@ class _ThreadPicture(threading.local):
 
 
 def records(device: wp.Device) -> bool:
-    """Return whether a device can record a picture as a graph with loops, which end when no tile is left."""
+    """Return whether a device can record a picture: recorded loops over tiles require CUDA 12.4."""
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

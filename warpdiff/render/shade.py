@@ -61,7 +61,7 @@ def shade(
             independent of µm.
         heightfield: The height field; its x axis lies along the tangent field.
         lights: One light, or several.
-        view: The camera.
+        view: Camera and size of the picture.
         progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a
             bar. An exception that it raises cancels the picture.
 
@@ -104,7 +104,7 @@ def shade(
 
 
 def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
-    """Render a prepared mesh by a plan for the directions of its pixels."""
+    """Render a prepared mesh, after choosing a plan for the directions that its pixels require."""
     evaluation = inputs.evaluation
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
@@ -112,7 +112,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     if all(part.has_lobes for part in inputs.parts):
         direction_range, sample, count = picture.measure_directions(evaluation.heightfield)
     else:
-        # A sky illuminates from the whole hemisphere.
+        # Under a sky, a plan must cover light from the whole hemisphere.
         direction_range, sample, count = directions_of(evaluation)
     if evaluation.plan is not None:
         warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
@@ -127,7 +127,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     return picture.image(plan)
 
 
-# Largest memory per pixel of a picture of any kind while it is computed [bytes]. Fitted: measured.
+# Largest memory per pixel that a picture of any kind requires while it is computed [bytes]. Fitted to measurements.
 _BYTES_PER_PIXEL = 210
 
 
@@ -137,8 +137,8 @@ class PictureInputs:
 
     Attributes:
         evaluation: Inputs of the colours: height field, coherence, materials, method, tolerance and device.
-        settings: Settings of the call.
-        lights: The lights.
+        settings: Keyword options of the call.
+        lights: Lights as the user gave them.
         parts: Parts that the lights consist of: lobes, discs and skies.
     """
 
@@ -151,7 +151,7 @@ class PictureInputs:
     def of(
         cls, heightfield: HeightField, lights: Light | Sequence[Light], view: View, settings: PictureSettings
     ) -> PictureInputs:
-        """Resolve checked settings for a height field, lights and a view; raise errors before any kernel runs."""
+        """Combine settings, height field, lights and view; raise errors about them before any kernel runs."""
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(heightfield, settings, by_geometry=True, footprint=footprint)
         lights = listed(lights)
@@ -166,15 +166,15 @@ class PictureInputs:
             )
         check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # A search for tables would make one per spectrum. Those of skies are smooth, and need no search.
+        # The planner tries tables for these spectra. The three smooth spectra of a sky require no trial.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
 
     def picture(self, surface: Surface, view: View, **options: Any) -> Picture:
-        """Return the arrays of a picture."""
+        """Return a picture of a surface, with its arrays allocated."""
         footprint, settings = self.evaluation.footprint, self.settings
-        # The filters of the outermost pixels cover cells beyond the picture's edge.
+        # The filter of a pixel at the edge of the picture extends to cells of pixels beyond the edge.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
         energy, size_um = self.evaluation.energy_factors, self.evaluation.heightfield.size_um
         optics = SurfaceOptics(
@@ -204,7 +204,7 @@ class PictureInputs:
         return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """Return the given plan, or a plan for these directions; lights with an extent require a plan with a table.
+        """Return the user's plan, or a plan for these directions. Lights with an extent require a plan with a table.
 
         If no table meets the tolerance for lobes with an extent, the plan has the best table. Skies, and lights under
         which all directions of the sample are dark, get the smallest table that is expected to suffice.
@@ -212,7 +212,8 @@ class PictureInputs:
         evaluation = self.evaluation
         request = evaluation
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
-            # No table is tried, as skies do not depend on its errors in single directions.
+            # No table is tried for skies: they average over many directions, so that errors in single directions have
+            # no effect.
             request = replace(evaluation, integration="sampled", footprint=False)
         plan = evaluation.plan or plan_for(request, direction_range, sample, count)
         if not plan.uses_footprints and any(part.has_extent for part in self.parts):
@@ -228,7 +229,7 @@ class PictureInputs:
         return evaluation.with_energy(plan)
 
     def refined(self, *, refine: bool) -> PictureInputs:
-        """Return these inputs with or without refinement, which changes the parts of disc lights."""
+        """Return these inputs with or without refinement. Discs from 1.5° to 5° are lobes only without refinement."""
         settings = replace(self.settings, refine=refine)
         return replace(self, settings=settings, parts=parts_of(self.lights, self.evaluation, refine=refine))
 
@@ -243,7 +244,7 @@ def require_picture_memory(view: View, device: wp.Device) -> None:
 
 
 def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
-    """Return a context that turns failed allocations into a MemoryError with the picture's size and a remedy."""
+    """Return a context that turns a failed allocation into a MemoryError with the picture's size and a remedy."""
     remedy = (
         f"take a smaller {ref('view')}, {ref('mesh')} or {ref('heightfield')}, fewer {ref('samples_per_pixel')}, or a "
         f"larger {ref('tolerance')}"
@@ -264,7 +265,7 @@ def warn_unconverged(image: Image) -> None:
 
 
 def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means: bool) -> None:
-    """Raise an error for lights with an extent if the coherence has an extent, too, or if footprints are off."""
+    """Raise an error if lights have an extent, and the coherence is of kind "source" or excludes footprints."""
     if not any(part.has_extent for part in parts):
         return
     if coherence.kind == "source":
@@ -281,7 +282,7 @@ def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means
 
 
 def listed(lights: object) -> list[Light]:
-    """Return a list of one or several lights, whose number must not be 0."""
+    """Return one or several lights as a list; an empty sequence raises an error."""
     several = [lights] if isinstance(lights, Light) else lights
     if not isinstance(several, Sequence) or not several:
         raise ArgumentTypeError(
@@ -292,10 +293,10 @@ def listed(lights: object) -> list[Light]:
 
 
 def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
-    """Return the parts of lights, after checks; without refinement a disc is a single lobe where possible.
+    """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
 
-    The lobes of all lights form one part, whose pixels are refined together. Errors under several lights have the same
-    causes, so that they would add up if lights were refined separately.
+    The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
+    surface causes errors under each light, and separate estimates would not bound the sum of these errors.
     """
     result: list[LightPart] = []
     for index, light in enumerate(lights):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Largest number of pixels that are subdivided together. Limit: each of their tiles takes about 200 bytes.
+# Largest number of pixels that are subdivided together. Limit: memory, about 200 bytes for each of their tiles.
 _MOST_PIXELS = 1 << 17
 
 
@@ -33,8 +33,8 @@ class HostTileGroup(TileGroup):
     """Group of pixels that are subdivided together, with arrays that the host reads.
 
     Attributes:
-        tile_indices: The tiles, as indices of pixels.
-        ranks: For each pixel of the picture, its index in ``sums``.
+        tile_indices: Indices of the pixels that are subdivided for the group.
+        ranks: For each pixel of the picture, the index of its tile in ``sums``.
         host_levels: The same memory as ``levels``, as a NumPy array.
     """
 
@@ -43,22 +43,25 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return the arrays that the cells of a level's tiles fill, each by index in ``sums``."""
+        """Return the arrays of ``sums`` that shading the tiles of one level fills."""
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
 class _ShadedTiles:
-    """Cache of tiles that were shaded for a coarser tolerance; their results are valid for finer tolerances, too."""
+    """Cache of the sums over the cells of tiles.
+
+    They do not depend on the tolerance, and are reused for finer tolerances.
+    """
 
     def __init__(self) -> None:
-        # For each level: the tiles, and copies of the result arrays.
+        # For each level: indices of the tiles that were shaded, and copies of their sums.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy cached results of tiles at a level into the group; return a mask of the tiles without such results."""
+        """Copy cached sums of tiles at a level into the group. Return a mask of the tiles that are not in the cache."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -72,19 +75,20 @@ class _ShadedTiles:
         return ~is_known
 
     def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
-        """Store the results of a group's tiles at a level."""
+        """Store copies of the sums over the cells of a group's tiles at a level."""
         ranks = group.ranks[tiles]
         self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 
 
 class ThreadedTiles:
-    """Tile executor on the CPU; :meth:`begin` makes the arrays for one light.
+    """Tile executor on the CPU, where the host lists the tiles.
 
     Attributes:
-        count: Number of pixels that were subdivided; under several lights, the largest number of a light.
-        floor: Least luminance that errors are relative to, (1,).
-        marks: For each pixel, whether it is subdivided (``ACTIVE``), uses its neighbours' cells (``SHARED``), or
-            neither (0).
+        count: Number of pixels that were subdivided under one light; under several lights, the largest of these
+            numbers.
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
+        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
+            else 0.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
@@ -92,7 +96,7 @@ class ThreadedTiles:
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Buffers are kept, as allocating them takes as long as thousands of look-ups.
+        # Buffers are kept for later pictures, because allocating them takes as long as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 
@@ -100,7 +104,10 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete stored results of tiles. With ``keep``, store new ones, for finer tolerances of the same picture."""
+        """Delete the stored results of tiles. With ``keep``, results are stored from now on.
+
+        The results at a preview's tolerance are reused at the next, finer tolerance.
+        """
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
@@ -115,17 +122,18 @@ class ThreadedTiles:
         """Do nothing; only the executor on a GPU has work at the end of a light."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over pixels or tiles, in slices."""
+        """Launch a kernel call over ``elements``, which are pixels or tiles, in slices."""
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups, whose size is limited by memory."""
+        """Yield the marked pixels in groups of at most ``_MOST_PIXELS``, with their tiles."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):
             return
         if len(pixels) > _MOST_PIXELS:
-            # Results are not cached for several groups: each group changes colours that the next group starts from.
+            # With several groups, the results of tiles are not cached: the results of a group depend on the colours
+            # that the group before it has changed, and thus on the tolerance.
             self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))
@@ -135,7 +143,8 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # Pixels that require no cells use the tiles of other pixels if all nine of their tiles exist.
+        # A pixel that is not marked becomes ``SHARED`` if its own and all eight adjacent pixels are tiles of marked
+        # pixels.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = subdivision.SHARED
@@ -153,7 +162,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of a group's tiles at a level, and splat the cells to surrounding pixels."""
+        """Shade the cells of those tiles of a group that have this level, and add them to the sums of the group."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

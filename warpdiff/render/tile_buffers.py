@@ -1,4 +1,4 @@
-"""Tile buffers: arrays for the rays of subpixel cells, one tile after the other."""
+"""Tile buffers: arrays with one entry per subpixel cell, for the rays of many tiles, one tile after the other."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags for the optional arrays of tile buffers.
 
-    In this order they are: gains of directions that a table excludes, base colours, gains of one of several materials,
-    and gains by spectrum.
+    In this order the arrays are: gains of directions that a table cannot serve, base colours, gains at faces of one of
+    several materials, and gains for each spectrum of a sky.
     """
 
     needs_sampling: bool
@@ -39,14 +39,15 @@ class BufferKind(NamedTuple):
 
 @dataclass(frozen=True)
 class TileBuffers:
-    """Buffers for the rays of cells.
+    """Arrays for the rays of the cells of many tiles.
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of the last lobe at the hits.
-        colours: Colours of the rays.
-        unserved_gain: Geometry factors of directions that a table excludes.
-        tiles: For each level, the pixels whose cells are in the buffers.
+        samples: Samples of one lobe at the hits; each lobe overwrites those of the lobe before.
+        colours: Colours of the rays, added over the lobes of a light.
+        unserved_gain: Geometry factors of directions that a table cannot serve.
+        tiles: For each level, an array of the pixels whose cells are in the buffers. Only that of the present level is
+            used.
     """
 
     gbuffer: GBuffer
@@ -57,7 +58,7 @@ class TileBuffers:
 
     @classmethod
     def allocate(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
-        """Return buffers of a kind for a number of rays."""
+        """Return uninitialised buffers for a number of rays, with the optional arrays of a kind."""
         tiles = {
             level: wp.empty(rays // refinement_levels.rays_at(level), dtype=wp.int32, device=device)
             for level in refinement_levels.LEVELS
@@ -73,7 +74,10 @@ class TileBuffers:
         )
 
     def batch(self, level: int) -> RayBatch:
-        """Return the cells of a level as a batch of rays, without arrays for coverage and illuminated pixels."""
+        """Return the cells in the buffers as a batch of rays.
+
+        Coverage and illumination are not counted for single cells.
+        """
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
         return RayBatch(
@@ -86,12 +90,12 @@ class SharedTileBuffers:
     """Tile buffers on the CPU, divided into parts; each thread uses one part at a time.
 
     Attributes:
-        buffers: The whole buffers.
+        buffers: The buffers of all parts, one part after the other.
     """
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
-        """Allocate buffers with a number of parts."""
-        # The size of a part is a multiple of the cells of a pixel, at any level, and of a batch of look-ups.
+        """Allocate buffers that ``parts`` threads can use at the same time."""
+        # A part has space for whole tiles of any level, and for whole batches of look-ups.
         multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
         self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size
@@ -108,13 +112,13 @@ class SharedTileBuffers:
         self, level: int, pixels: NDArray[np.int32], pipeline: Pipeline, nearest: NDArray[np.uint64], *, threads: int,
         progress: Callable[[float], None] | None,
     ) -> None:  # fmt: skip
-        """Launch a pipeline over the cells of pixels at a level.
+        """Launch kernel calls over all cells of some pixels, in slices that fit the parts of the buffers.
 
         Args:
-            level: The level.
-            pixels: The pixels.
-            pipeline: The pipeline; its calls add colours to an array that is set to zero before.
-            nearest: Nearest faces of the cells' rays.
+            level: Level of the cells.
+            pixels: Indices of the pixels to subdivide.
+            pipeline: Kernel calls that shade the cells in the buffers. The colours are set to zero before.
+            nearest: Index of the nearest face for the ray of each cell, pixel after pixel.
             threads: Number of threads, at most the number of parts.
             progress: Callable that gets the share that is done; None reports nothing.
         """
@@ -127,7 +131,7 @@ class SharedTileBuffers:
                 self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
                 self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
                 self._colours[first:end] = 0.0
-                # Look-ups process whole batches, so that gains after the last ray must be 0.
+                # Look-ups process whole batches. Entries after the last ray get the gain 0, and add nothing.
                 for gains in self._gains:
                     gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Share of the narrower image dimension that a framed mesh fills. Choice: the margin is 4 % on each side.
 _FILLED = 0.92
-# Least distance of the eye from a framed mesh, in radii of the mesh. Limit: a mesh without extent, such as a line along
-# the viewing direction, would have distance 0.
+# Least distance of the eye from a framed mesh, in radii of the mesh. Limit: without it, a mesh that looks like a point,
+# such as a line along the viewing direction, would have distance 0.
 _LEAST_DISTANCE = 1e-2
 
 
@@ -100,7 +100,7 @@ class View(Checked):
                 f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
                 f"got {self.width} × {self.height}"
             )
-        # The frame is computed here to raise errors about eye, target and up now.
+        # The frame is computed here although it is not stored: it raises errors about ``eye``, ``target`` and ``up``.
         self.frame()
 
     @classmethod
@@ -118,7 +118,8 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
         """
-        # Annotated as Any, because the fields are tuples, and ``__post_init__`` converts array-likes to tuples.
+        # The values are annotated as Any, because the fields are tuples; ``__post_init__`` converts array-likes to
+        # tuples.
         operands: Any = (eye, target, up)
         extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
@@ -142,7 +143,7 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
             turning: Whether the mesh or the camera turns about the target, as in :func:`warpdiff.turntable`. If so, the
-                whole mesh is visible in all pictures, and smaller in each.
+                whole mesh is visible at all angles, and the mesh is smaller in each picture.
 
         Raises:
             FileNotFoundError: The mesh file does not exist.
@@ -161,7 +162,8 @@ class View(Checked):
             back = front / np.linalg.norm(front) + 0.6 * above
         else:
             back = validation.directions(validation.vector(direction, "direction"), "direction")[0][0]
-        # Annotated as Any, because the fields are tuples, and ``__post_init__`` converts array-likes to tuples.
+        # The values are annotated as Any, because the fields are tuples; ``__post_init__`` converts array-likes to
+        # tuples.
         operands: Any = (back, up)
         view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
         validation.flag(turning, "turning")
@@ -169,13 +171,14 @@ class View(Checked):
         middle: Any = centre if target is None else validation.vector(target, "target")
         frame = view.frame()
         if turning:
-            # The bounding sphere must fit in the narrower of the two fields of view.
+            # While the mesh turns, its bounding sphere must fit in the narrower of the horizontal and the vertical
+            # field of view.
             half = math.atan(min(frame.half_height, frame.half_width))
             reach = radius + math.dist(middle, centre)
             return replace(view, eye=middle + reach / math.sin(half) * frame.back, target=middle)
-        # An image has a centre cₓ and half a width tₓ, as a tangent. A point at depth z is inside it along x if |x −
-        # cₓ| ≤ tₓ (d − z). The least distance d of the eye follows from the largest x + tₓ z and the least x − tₓ z.
-        # The condition along y is similar.
+        # Let the middle of the image be at cₓ, and let tₓ be the tangent of half the horizontal field of view. A point
+        # (x, z), with z towards the eye, is in the image if |x − cₓ| ≤ tₓ (d − z). The least distance d of the eye from
+        # z = 0 follows from the largest x + tₓ z and the least x − tₓ z. The condition along y is similar.
         points = points + (centre - middle) / radius
         towards = points @ frame.back
         distance, moved = float(towards.max()) + _LEAST_DISTANCE, np.zeros(3)

@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
-# Seed of the random sample positions within pixels. Choice: any fixed number makes pictures reproducible.
+# Seed of the random positions of rays within pixels. Choice: any constant makes pictures reproducible.
 _SEED = 0
-# Numbers of pixels and of faces per slice of a launch on the CPU. Fitted: a thread takes about 1 ms for a slice.
+# Number of rays, and of faces to rasterize, per slice of a launch on the CPU. Fitted: a thread takes about 1 ms for a
+# slice.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted relative to a ray through
-# the hierarchy: adding a face to a grid takes a fifth of the time. A ray through a grid takes a quarter.
+# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted: relative to the time of a
+# shadow ray through the hierarchy, adding a face to a grid takes a fifth, and a shadow ray through the grid a quarter.
 _FACES_PER_RAY = 3
 # Approximate size of a grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory. With 100
 # lobes, for example, grids are used for meshes of up to 149,000 faces.
@@ -39,28 +40,32 @@ class CameraRays:
     """Rays through the pixels of a picture of a surface, which find their hits through a hierarchy of faces.
 
     Attributes:
-        surface: The surface.
+        surface: The prepared mesh.
         scene: The surface's arrays on the device.
-        view: The present view.
-        camera: The present view as the struct ``Camera`` of the kernels.
+        view: View that was set last.
+        camera: That view as the struct ``Camera`` of the kernels.
         width: Number of pixels per row, including the margin.
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
-        options: Device and number of threads of launches.
+        options: Keyword arguments of kernel launches: the device and the number of threads.
         gbuffer: Hits of one ray per pixel, which the calls of :meth:`trace` compute.
-        may_be_occluded: Whether the mesh could occlude a light from any visible point.
+        may_be_occluded: Whether the mesh may occlude a light from some point that is visible in the view.
     """
 
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Prepare the rays of a view, and of later views of the same size; for the arguments see :func:`rays_for`."""
+        """Allocate arrays for views of the size of ``view``, and set this view.
+
+        For the arguments see :func:`rays_for`.
+        """
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height
         self.scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
-        # Positions of one sample in each pixel. An empty array stands for pixel centres.
+        # Position of the present ray in each pixel, relative to the pixel's centre. If empty, rays pass through the
+        # centres.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
         self.gbuffer = GBuffer.allocate(self.size, coloured=surface.has_base_colour, device=device)
@@ -73,21 +78,21 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Place one of several samples in each pixel, and return the kernel calls that trace the rays."""
+        """Set the position of one of ``samples`` rays per pixel, and return the kernel calls that trace it."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
-        """Launch kernel calls for one ray per pixel."""
+        """Launch kernel calls whose elements are the rays of all pixels, one per pixel."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute the hits of rays and the shading frames at the hits."""
+        """Return the kernel calls that find the hits of rays and compute the shading frames at the hits."""
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
         return [trace, *self._known_face_calls(sampling, gbuffer)]
 
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that intersect each ray with its nearest face, which is already known."""
+        """Return the kernel calls that compute each hit and its shading frame; the nearest face is known already."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         return [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
@@ -95,7 +100,7 @@ class CameraRays:
         ]
 
     def _sampling(self, sample: int, samples: int) -> Sampling:
-        """Return a struct with the position of one sample in each pixel; a single sample is in the centre."""
+        """Return a struct with the position of one of ``samples`` rays in each pixel. A single ray is in the centre."""
         sampling = Sampling()
         if samples > 1:
             if not len(self._offsets):
@@ -112,7 +117,9 @@ class CameraRays:
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
     ) -> list[ShadowGrid]:
-        """Return a struct ``ShadowGrid`` for each light, without a grid, so that shadow rays use the hierarchy.
+        """Return a struct ``ShadowGrid`` for each light.
+
+        These structs have no lists of faces, and shadow rays use the hierarchy.
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
@@ -124,22 +131,28 @@ class CameraRays:
 class RasterizedRays(CameraRays):
     """Camera rays on the CPU, where rasterization finds the nearest face of each ray.
 
-    Rasterization takes a quarter of the time of a hierarchy on the CPU, but requires the host.
+    Rasterization takes a quarter of the time of a hierarchy on the CPU, but its launches cannot be recorded as a graph.
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Rasterize one of several samples per pixel, and return the kernel calls that compute the hits."""
+        """Find the nearest faces for one of ``samples`` rays per pixel.
+
+        Return the kernel calls that compute the hits.
+        """
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
         return self.calls(sampling, self.gbuffer)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute hits on the known nearest faces, and the shading frames at the hits."""
+        """Return the kernel calls that compute hits and shading frames.
+
+        Nearest faces are found by rasterization before.
+        """
         return self._known_face_calls(sampling, gbuffer)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
-        """Return the nearest face of each cell for a number of pixels, all cells of a pixel together."""
+        """Return the index of the nearest face for each cell of ``pixels`` pixels, pixel after pixel."""
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
@@ -154,7 +167,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return grids of faces if they save time and fit in memory, otherwise structs that use the hierarchy."""
+        """Return occluder grids if they save time and fit in memory, otherwise structs without lists of faces."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         return [
@@ -169,14 +182,14 @@ def rays_for(
     surface: Surface, view: View, *, smooth: bool = True, margin: int = 0, device_driven: bool = False,
     device: wp.Device, threads: int,
 ) -> CameraRays:  # fmt: skip
-    """Return camera rays of the class that is faster on a device.
+    """Return camera rays of the faster class: rasterization on the CPU, a hierarchy of faces on a GPU.
 
     Args:
-        surface: The surface.
-        view: The first view.
+        surface: The prepared mesh.
+        view: First view; later ones must have the same size in pixels.
         smooth: Whether vertex normals are interpolated.
-        margin: Number of additional pixels on each side.
-        device_driven: Whether launches need no host on the CPU, too, so that they can be recorded.
+        margin: Number of pixels that are added to the picture on each side.
+        device_driven: Whether the CPU uses the hierarchy, too, because its launches can be recorded.
         device: The Warp device.
         threads: Number of threads on the CPU.
     """

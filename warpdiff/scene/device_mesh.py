@@ -20,26 +20,31 @@ if TYPE_CHECKING:
 
 # Number of faces per leaf of a hierarchy on the CPU. Choice: other values change the time of rays, not their hits.
 _LEAF = 4
-# Lock that prevents two threads from building the same hierarchy.
+# Lock for building a hierarchy, so that two threads do not build the same one.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Number of cached occluder grids per mesh, for the lights used last. Limit: a grid takes about 72 bytes per face.
+# Number of cached occluder grids per mesh; those of the latest light directions are kept. Limit: a grid takes about 72
+# bytes per face.
 _MOST_GRIDS = 4
 
 
 class SceneArrays:
     """Arrays of a :class:`~warpdiff.scene.mesh_import.Surface` on a device.
 
-    Kernels get only the id of the mesh, so that this object must outlive every launch that uses it.
+    Kernels refer to the mesh by an id only. Keep this object until all launches that use the id have finished.
 
     Attributes:
-        bare: The struct for kernels; it has a hierarchy after the first call of :meth:`with_hierarchy`.
+        bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
+            :meth:`with_hierarchy`.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
-        """Copy the arrays to the device; without ``smooth``, faces have their geometric normals."""
+        """Copy the arrays to the device.
+
+        Without ``smooth``, kernels use the normals of faces instead of vertex normals.
+        """
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
         for name, values, dtype in (
@@ -79,7 +84,8 @@ def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> Scen
 def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
     """Return the struct :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
-    The camera covers ``margin`` more pixels on each side. The function fills ``axes``, (5,) of ``wp.vec3d``.
+    The camera covers ``margin`` more pixels on each side. The vectors of the camera are written to ``axes``, (5,) of
+    ``wp.vec3d``.
     """
     frame = view.frame()
     result = Camera()
@@ -98,14 +104,14 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
-    """Return whether a visible point may be in shadow; on a convex body viewed from outside, none is."""
+    """Return whether shadow rays are required. No point of a convex body that is viewed from outside is in a shadow."""
     if not surface.is_convex:
         return True
     frame = view.frame()
     eye = (frame.origin - surface.centre) / surface.radius
     vertices = surface.vertices.astype(np.float64)
     if frame.orthographic:
-        # Orthographic rays start on a plane, which must not cut the body.
+        # Orthographic rays start on a plane. If it cuts the body, the inside is visible.
         return bool(np.max(vertices @ frame.back) > eye @ frame.back)
     a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
     return not np.any(np.einsum("ij,ij->i", np.cross(b - a, c - a), eye - a) > 0.0)

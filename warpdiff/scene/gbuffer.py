@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdiff.kernels.structs import Pixels
 
-# Fields of the struct ``Pixels`` that have a vector for each ray.
+# Fields of the struct ``Pixels`` that have a vector of three floats for each ray.
 _VECTORS = ("tangent", "bitangent", "normal", "to_view", "shadow_origin")
 
 

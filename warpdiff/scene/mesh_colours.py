@@ -24,7 +24,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
     from trimesh.visual.material import PBRMaterial, color_image
 
     if isinstance(material, PBRMaterial):
-        # As in glTF, the factor is linear and multiplies the decoded texture.
+        # The colour factor of a glTF material is linear. It multiplies the texture after decoding from sRGB.
         factor = material.baseColorFactor
         linear = None if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0
         if material.baseColorTexture is None:
@@ -54,10 +54,10 @@ def _image(image: Image.Image) -> NDArray[np.float32] | None:
         warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
         return None
     if image.mode.startswith("I"):
-        # The image has 16-bit grey values; Pillow's conversion to RGB would clip them at 255.
+        # PIL's modes that begin with I have 16-bit grey values, which Pillow's conversion to RGB would clip at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # Applying the sRGB transfer function to 256 values once, instead of to every pixel, saves most of the time.
+    # The sRGB transfer function is applied to the 256 possible values, instead of to every pixel, to save time.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 
@@ -69,6 +69,7 @@ def _damage(image: Image.Image) -> str:
             image.load()
             image.info[_DAMAGE] = ""
         except Exception as error:
-            # Image decoders raise errors of any type. A second attempt may return a partial image without an error.
+            # Image decoders raise errors of any type. The error is stored, because a second attempt may return a
+            # partial image without an error.
             image.info[_DAMAGE] = str(error) or type(error).__name__
     return str(image.info[_DAMAGE])

@@ -37,13 +37,14 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
         # process=False prevents trimesh from merging vertices, which would break the texture along its seams.
         scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, contents, reasons))
     except Exception as error:
-        # Loaders of trimesh raise errors of any type.
+        # trimesh's loaders of damaged files raise errors of any type.
         raise ArgumentValueError(
             f"{ref('mesh')} must be a file that trimesh can read, got {str(file)!r}, which is damaged, truncated or of "
             f"another format: {error}"
         ) from error
     if file.suffix.lower() == ".stl":
-        # For STL files with several bodies, trimesh merges vertices anyway, which would make the faces smooth.
+        # For STL files with several bodies, trimesh merges vertices despite process=False. Merged vertices would have
+        # smooth normals instead of those of their faces.
         for geometry in scene.geometry.values():
             geometry.unmerge_vertices()
     for name, data in contents.items():
@@ -53,7 +54,7 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     for name, reason in reasons.items():
         warn(f"{ref('mesh')}: {str(file)!r} refers to {name!r}, which is ignored: {reason}")
     for image in _images(scene):
-        # Later warnings about damaged images name the image's file. Images of OBJ files have ``file_path`` already.
+        # The name of the image's file is stored for later warnings. Images of OBJ files already have ``file_path``.
         stream = getattr(image, "fp", None)
         content = stream.getvalue() if isinstance(stream, io.BytesIO) else None
         names = [name for name, data in contents.items() if data == content]
@@ -62,7 +63,10 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
 
 
 def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> FilePathResolver:
-    """Return a resolver of referenced files that records their ``contents``, or ``reasons`` why they are missing."""
+    """Return the object by which trimesh opens referenced files.
+
+    It records their ``contents``, or ``reasons`` for failure.
+    """
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):  # type: ignore[misc]
@@ -83,7 +87,7 @@ def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -
 
 
 def _why_no_image(name: str, data: bytes) -> str:
-    """Return the reason why a file cannot be opened as an image, or an empty string; pixels are not decoded."""
+    """Return why Pillow cannot open the content of a file as an image, or an empty string. Pixels are not decoded."""
     from PIL import Image
 
     if Path(name).suffix.lower() not in Image.registered_extensions():

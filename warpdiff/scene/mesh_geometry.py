@@ -1,7 +1,7 @@
 """Normals, tangents and convexity of a mesh, from its vertices, faces and texture coordinates.
 
-Vectors are stored by component, (3, n), and faces by corner, (3, m), because NumPy is several times faster along rows
-than across them.
+Vectors are stored by component, (3, n), and faces by corner, (3, m), because NumPy is several times faster along the
+long axis if it is the last one.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
 class FaceGeometry:
-    """Edges, areas, normals and angles of faces, each computed once.
+    """Edges, areas, normals and angles of faces; each quantity is computed at its first use.
 
     Attributes:
         edges: Edges from each corner to the next one, shape (3, 3, m): component, corner, face.
         cross: Cross product of the first edge and the second, shape (3, m).
         twice_area: Length of ``cross``, shape (m,).
-        products: Scalar products of the two sides that meet at each corner, shape (3, m).
+        products: Scalar products of the two edge vectors that start at each corner, shape (3, m).
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
@@ -51,7 +51,7 @@ class FaceGeometry:
     @property
     def has_area(self) -> NDArray[np.bool_]:
         """Whether each face has more area than a line or a point, shape (m,)."""
-        # The square of a side is the sum of the products at its two ends.
+        # The squared length of an edge is the sum of ``products`` at its two ends.
         at = self.products
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
@@ -91,7 +91,10 @@ class TextureGeometry:
         self.orientation[~(np.abs(determinant) > ZERO_AREA * longest_squared)] = 0.0
 
     def mirrored(self, faces: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-        """Return where the texture is mirrored, shape (m,); faces without texture area follow their neighbours."""
+        """Return whether the texture is mirrored on each face, shape (m,).
+
+        Faces without texture area follow their neighbours.
+        """
         mirrored = self.orientation < 0.0
         unknown = self.orientation == 0.0
         if unknown.any():
@@ -121,17 +124,17 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def tangential(vectors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the part of each vector that is perpendicular to the unit normal."""
+    """Return the component of each vector that is perpendicular to the unit normal at the same index."""
     return np.asarray(vectors - dot(vectors, normals) * normals)
 
 
 def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return sums of ``values`` over equal entries of ``index``, shape (count,)."""
+    """Return at each index the sum of the ``values`` with this index, shape (count,)."""
     return np.asarray(np.bincount(index.ravel(), values.ravel(), count))
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which of the numbers 0 … count − 1 occur in ``indices``, sorted, and ``indices`` renumbered by them."""
+    """Remove unused numbers from indices: return the sorted used numbers below ``count``, and the new indices."""
     is_used = np.zeros(count, dtype=np.bool_)
     is_used[indices] = True
     if is_used.all():
@@ -140,9 +143,13 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return a position number for each vertex, equal at equal positions, and the vertices sorted by it, (n,) each."""
+    """Number the distinct positions of vertices.
+
+    Return each vertex's number, and the vertices in the order of numbers.
+    """
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
-    # The cell of a vertex has a number of 21 bits per axis. Sorting one integer per vertex is faster than sorting rows.
+    # Coordinates are rounded to integers of 21 bits, and joined to one integer per vertex, which is faster to sort than
+    # three.
     key = (x * 2**21 + y) * 2**21 + z
     order = np.argsort(key)
     key = key[order]
@@ -158,8 +165,9 @@ def vertex_normals(
     beside = geometry.angle_weighted_normals(faces, len(welded))
     if own is not None:
         own = unit(np.nan_to_num(own))
-        # A given normal is reversed if it is opposite to the faces of this vertex. Faces of other vertices at the same
-        # position are not used, as under an overhang most of them have opposite normals.
+        # A normal of the input mesh is reversed if it is opposite to the mean normal of the faces of its vertex. Faces
+        # of other vertices at the same position do not count: where two surfaces touch, most of them may face the other
+        # way.
         own = np.where(dot(own, beside) < 0.0, -own, own)
         missing = ~own.any(axis=0)
         if not missing.any():
@@ -167,8 +175,8 @@ def vertex_normals(
     count = int(welded.max()) + 1
     total = np.stack([sum_at(welded, component, count) for component in beside])
     weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
-    # Normals of two faces back to back add up to zero at their common position. Each vertex there uses the sum over
-    # its own faces.
+    # On a thin sheet, faces of both sides meet at a position, and their normals add up to zero. Each vertex there uses
+    # the sum over its own faces instead.
     cancelled = (length(total) <= 1e-6 * weight)[welded]
     computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
     return computed if own is None else np.where(missing, computed, own)
@@ -181,8 +189,8 @@ def tangents_from_uvs(
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # Each face's direction has unit length in the vertex's tangent plane, so that curvature does not reduce its weight.
-    # The component along the normal is removed from the sum.
+    # The direction ∂P/∂u of a face is scaled so that its projection on the vertex's tangent plane has unit length.
+    # Otherwise faces with steep directions would have less weight in the mean. The sum is projected at the end.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)
@@ -195,14 +203,15 @@ def tangents_from_uvs(
 def join_seams(
     field: NDArray[np.float64], welded: NDArray[np.int64], order: NDArray[np.int64], handedness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Add to each vertex's tangent the similar tangents of other vertices at its position with equal handedness."""
+    """Add to each vertex's tangent those of other vertices at its position that are similar, with equal handedness."""
     count = len(order)
     ends = np.cumsum(np.bincount(welded))
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
     # In ``order``, vertices at one position are consecutive. Each vertex is compared with the next one, the one after
-    # that, and so on. A pass makes several of these comparisons, but at most about as many pairs as vertices.
+    # that, and so on. One round of the loop makes several of these comparisons, as long as it has no more pairs than
+    # vertices, which limits memory.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))
@@ -222,7 +231,7 @@ def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
     name: str,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return tangents where vertices without one get the mean of their neighbours, ring after ring."""
+    """Return tangents at all vertices. Those that are missing are means over neighbours, from known ones outwards."""
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
         return field
@@ -244,7 +253,7 @@ def fill(
         if not new.any():
             break
         at += new
-    # Vertices without any connected neighbour get the mean tangent of the whole mesh.
+    # A component of the mesh in which no vertex has a tangent gets the sum of all tangents, made tangential.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 
@@ -252,7 +261,10 @@ def fill(
 def _sides_of_edges(
     faces: NDArray[np.integer[Any]], welded: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Return both sides of each edge as indices into flat ``faces``, or None if the mesh is not a closed manifold."""
+    """Return the two face corners at which each edge starts, as flat indices.
+
+    The result is None unless the mesh is a closed manifold.
+    """
     start = welded.take(faces)
     end = start[[1, 2, 0]]
     edges = (np.minimum(start, end) * (int(welded.max()) + 1) + np.maximum(start, end)).ravel()
@@ -268,8 +280,8 @@ def _sides_of_edges(
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
     """Return whether the faces bound bodies, with corners counter-clockwise as viewed from outside of each.
 
-    In a closed mesh, equally many faces run along each edge in either direction. A line that enters a body also leaves
-    it.
+    In such a mesh, as many faces run along an edge in one direction as in the opposite one, and the volume of each body
+    is positive.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)
@@ -299,7 +311,7 @@ def is_convex(
 
     if np.all(np.abs(heights_over(0)) <= 1e-6):
         return True
-    # Most bodies are not convex. Usually a few faces prove this, as other vertices are above their planes.
+    # Most bodies are not convex. To find this quickly, a few faces are tested: no vertex may be above their planes.
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False
@@ -307,7 +319,7 @@ def is_convex(
     if both is None or int(welded.max()) + 1 - len(both[0]) + number != 2:
         return False
     one, other = both
-    # A convex body requires at each edge that the neighbouring face does not rise above the plane of this face.
+    # At each edge of a convex body, neither of the two faces rises above the plane of the other.
     level = dot(outward, vertices.take(faces[0], axis=1))
     opposite = faces[[2, 0, 1]].ravel()
     for here, beyond in ((one, other), (other, one)):

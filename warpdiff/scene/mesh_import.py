@@ -44,7 +44,7 @@ HOW_TO_GET_TANGENTS = (
     "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
 )
 
-# Prefix of the labels of geometries in messages.
+# Beginning of the label of a geometry of a scene in messages; the name of the geometry follows.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
 
 
@@ -147,7 +147,7 @@ def normalised_positions(
 
 @contextlib.contextmanager
 def _naming_file(mesh: Any) -> Iterator[None]:
-    """Add the path of a mesh file to errors that do not name it."""
+    """Add the path of the mesh file to the messages of errors that do not contain it."""
     try:
         yield
     except ValueError as error:
@@ -157,7 +157,7 @@ def _naming_file(mesh: Any) -> Iterator[None]:
 
 
 class _Geometry(NamedTuple):
-    """Mesh with its transform, its label in messages, and its name in a scene."""
+    """Mesh object of trimesh with its transform to the world, its label in messages, and its name in a scene."""
 
     mesh: Any
     transform: NDArray[np.float64]
@@ -167,7 +167,11 @@ class _Geometry(NamedTuple):
 
 @dataclass
 class _Part:
-    """One geometry in world coordinates; ``source`` is each vertex's index among the ``count`` input vertices."""
+    """Arrays of one geometry, or of a whole scene, in world coordinates.
+
+    Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
+    ``count`` is the number of input vertices.
+    """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -206,7 +210,7 @@ def _geometries(mesh: Any) -> list[_Geometry]:
 
 
 def _named_part(geometry: _Geometry, *, colours: bool = True) -> _Part:
-    """Return a checked geometry; errors begin with the geometry's label."""
+    """Return the checked arrays of a geometry. Messages of errors begin with the label of the geometry."""
     try:
         part = _part(geometry.mesh, geometry.transform, colours=colours)
     except ValueError as error:
@@ -249,8 +253,8 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
     if determinant < 0.0:
         part.faces = part.faces[:, ::-1]
     if part.normals is not None and determinant != 0.0:
-        # Cofactors are the transposed inverse times the determinant. With the absolute value, reversed faces keep their
-        # normals on the same side.
+        # Normals are transformed by the transposed inverse. Its factor, the absolute value of the determinant, keeps
+        # normals on the outside if the transform reverses the faces.
         part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
     return part
 
@@ -258,8 +262,9 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
 
-    trimesh stores given normals and computed normals in the same cache. For computed normals, the
-    cache also has the faces' angles, but these may have another cause. Computed normals are recognised by their values.
+    trimesh stores normals of the file and computed normals in the same place. If it has computed normals, its cache
+    also has the angles of faces, but these may have been computed for another reason. In this case normals count as
+    computed if they have the values that trimesh would compute.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
@@ -274,7 +279,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if not worked_out:
         return normals.T
     corners = np.ascontiguousarray(faces.T)
-    # A test at the vertices of a few faces decides most cases; otherwise all vertices are compared.
+    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
+    # only if these agree.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):
@@ -292,7 +298,7 @@ def _has_facets(mesh: Any) -> bool:
 
 
 def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
-    """Return texture coordinates, shape (n, 2), or None."""
+    """Return the texture coordinates of the input mesh, shape (n, 2), or None if it has none."""
     uvs = getattr(mesh.visual, "uv", None)
     if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
         return None
@@ -307,7 +313,7 @@ def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
 
 
 def _take_colours(mesh: Any, part: _Part) -> None:
-    """Set the texture or the colours of a mesh part; with face colours, every face gets separate vertices."""
+    """Set the texture or the vertex colours of a part. If faces have colours, vertices are duplicated for each face."""
     visual = mesh.visual
     if visual.kind == "vertex":
         part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
@@ -332,7 +338,10 @@ def _take_colours(mesh: Any, part: _Part) -> None:
 
 
 def _join(parts: list[_Part]) -> _Part:
-    """Join the parts of a scene to one part. Missing entries of arrays are NaN, or −1 for colours with a texture."""
+    """Join the parts of a scene to one part.
+
+    Missing values become NaN; colours are −1 at vertices that use the texture.
+    """
     if len(parts) == 1:
         return parts[0]
     textures: list[NDArray[np.float32]] = []
@@ -359,7 +368,7 @@ def _join(parts: list[_Part]) -> _Part:
 
     colours = gather("colours", 3)
     if colours is not None:
-        # Parts without colour or texture have no pigment, and are black.
+        # A part without colour or texture has no pigment, and its colour is black.
         none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
     return _Part(
@@ -378,7 +387,8 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
-    # The radius is half the diagonal. Scaling prevents under- and overflow of squares for tiny and huge meshes.
+    # The radius is half the diagonal of the box. Its sides are divided by the largest one, so that the squares of tiny
+    # and huge lengths neither underflow nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
     if not validation.LEAST <= radius <= validation.MOST:
         raise ArgumentValueError(
@@ -392,7 +402,7 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
     centre, radius = _sphere(world)
-    # Positions are rounded to float32 first, so that the same faces have no area here and in the kernels.
+    # Positions are rounded to float32 before areas are tested, because kernels use the rounded positions.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
     keep, geometries = geometry.has_area, part.geometries
@@ -413,7 +423,8 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
         texture_geometry = TextureGeometry(uvs, faces)
         mirrored = texture_geometry.mirrored(faces, len(index))
         if mirrored.any():
-            # Each face has one handedness, so that a vertex of mirrored and unmirrored faces is split in two.
+            # All vertices of a face must have the same handedness. A vertex between mirrored and other faces is
+            # therefore duplicated.
             used, faces = compacted(faces * 2 + mirrored, 2 * len(index))
             handedness = np.where(used % 2 == 1, -1.0, 1.0)
             used //= 2
@@ -449,7 +460,7 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
 
 
 def _check_tangents(part: _Part, tangents: NDArray[np.float64] | None) -> None:
-    """Check that each vertex has a tangent, or that the part has texture coordinates if there are no tangents."""
+    """Check that ``tangents`` has a vector per vertex, or if it is None, that all vertices have texture coordinates."""
     if tangents is not None:
         if tangents.shape != (part.count, 3):
             raise ArgumentValueError(

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Limits of grids: mean number of cells per face, and number of faces in an average list, weighted by its length. Beyond
-# them a hierarchy is faster, because large faces overlap or small ones are close together.
+# Largest mean number of cells that a face overlaps, and largest mean number of faces in the list of a face's cell.
+# Limit: meshes with very uneven faces exceed these numbers, and a hierarchy is then faster than a grid.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces per slice of a launch. Choice: other values change only the time.
 _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """Return a struct :class:`warpdiff.kernels.shadow_rays.ShadowGrid` without lists: rays use the hierarchy."""
+    """Return a struct ``ShadowGrid`` without lists of faces, with which shadow rays use the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -36,9 +36,10 @@ def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> shadow_rays.ShadowGrid:
-    """Return the :class:`warpdiff.kernels.shadow_rays.ShadowGrid` of a surface and a light on the CPU, from a cache.
+    """Return the struct ``ShadowGrid`` of a mesh and the direction of a light, on the CPU, from a cache.
 
-    If faces have very uneven sizes, the struct has no lists, as a few cells would have most of the faces.
+    If faces have very uneven sizes, the struct has no lists, because the lists of a few cells would contain most of the
+    faces.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
     return scene.grids.get_or_make(tuple(to_light), make)
@@ -53,11 +54,12 @@ def _made(
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # The grid has a margin of two steps, which covers differences in rounding between NumPy and the kernel.
+    # The kernel rounds projected positions differently than NumPy does. A margin of two steps keeps them inside the
+    # grid.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # The grid has about as many cells as faces.
+    # The side of a cell, such that the grid has about as many cells as the mesh has faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)
