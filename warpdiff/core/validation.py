@@ -170,17 +170,17 @@ def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool
     if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
         first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])
         warn(
-            f"{ref(name)} ({first}) looks like angles in degrees, but it is a vector (x, y, z): for θ from the normal and φ "
-            "around it, it is (sin θ cos φ, sin θ sin φ, cos θ)"
+            f"{ref(name)} ({first}) looks like angles in degrees, but it is a vector (x, y, z): for θ from the normal "
+            "and φ around it, it is (sin θ cos φ, sin θ sin φ, cos θ)"
         )
     return result
 
 
 def _look_like_degrees(vectors: NDArray[np.float64]) -> bool:
     """Whether vectors, shape (n, 3), consist of round angles, or of 1, and at least two components are not 0."""
-    sizes = np.abs(vectors)
-    if not sizes.size or not _LEAST_DEGREES <= sizes.max() <= _MOST_DEGREES:
+    if not vectors.size or not _LEAST_DEGREES <= max(vectors.max(), -vectors.min()) <= _MOST_DEGREES:
         return False
+    sizes = np.abs(vectors)
     is_round = (sizes % _ROUND_DEGREES == 0.0) | (sizes == 1.0)
     return bool(is_round.all() and np.any(np.count_nonzero(sizes, axis=1) > 1))
 
