@@ -260,7 +260,7 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
-    """Return the largest deviations from 1 of the sums of Stam's efficiencies for some lights: of a mirror, of glass."""
+    """Return the largest deviations from 1 of the sums of Stam's efficiencies: of a mirror, and of glass."""
     heights, pitch_um, window = _part(heightfield, wavelength_um)
     heights = heights / wavelength_um
     if heightfield.height_range_um == 0.0 or np.ptp(heights) > _MOST_RANGE:
