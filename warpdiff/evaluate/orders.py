@@ -95,6 +95,8 @@ def order_efficiencies(
     theory the efficiencies sum to R only approximately, and to more for short periods at grazing angles. With
     ``energy="normalised"`` they are multiplied by a(ωi) a(ωr), with a such that the orders of a perfect mirror sum to 1
     for every direction (Sinkhorn 1967); this is closer to rigorous solutions of mirrors and metals, and reciprocal.
+    Orders within 5.7° of the horizon get less weight, down to 0 at the horizon, so that efficiencies are continuous where
+    an order begins to propagate.
 
     Args:
         heightfield: One period of the surface; an axis of one sample is constant and has no order but 0.
