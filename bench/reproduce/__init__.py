@@ -5,5 +5,6 @@
 - ``lights``, ``lit_scenes``: errors under disc lights and environments, relative to sums over many directions
 - ``mitsuba_skies``: environments and disc lights compared with Mitsuba 3
 - ``published``, ``thesis``, ``variants``: comparison with the published algorithm; the figures of its publication
+- ``theory_verdict``: verdicts on scalar diffraction compared with rigorous solutions
 - ``cold_start``: time of a new process to its first picture
 """

@@ -210,6 +210,43 @@ def test_normalised_orders_are_reciprocal():
     assert np.max(np.abs(over_sums)) > 1e-2
 
 
+@pytest.mark.parametrize("period", [2.0, 5.0, 10.0])
+def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
+    """At normal incidence the period is a whole number of wavelengths, so that a tilt of 1e-5° adds one order."""
+    for grating in (wd.gratings.lamellar(period, 0.125), wd.gratings.blazed(period, 0.2)):
+        upright = wd.order_efficiencies(grating, (0, 0, 1), 500.0, ior=math.inf)
+        tilted = wd.order_efficiencies(grating, at_angle(1e-5), 500.0, ior=math.inf)
+        assert len(tilted.orders) == len(upright.orders) + 1
+        for order in upright.orders:
+            assert tilted[tuple(order)] == pytest.approx(upright[tuple(order)], rel=1e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize("angle", [85.0, 88.0, 89.9])
+def test_a_grazing_light_stays_in_its_mirror_order(angle):
+    """The share that leaves it is at most the weight of the light; sums stay 1, and the way back has the same share."""
+    grating, cosine = wd.gratings.blazed(1.7, 0.2), math.cos(math.radians(angle))
+    orders = wd.order_efficiencies(grating, at_angle(angle), 600.0, ior=math.inf)
+    weight = 3.0 * (cosine / 0.1) ** 2 - 2.0 * (cosine / 0.1) ** 3
+    assert orders.efficiencies.sum() == pytest.approx(1.0, rel=1e-9)
+    assert orders[0, 0] >= 1.0 - weight - 1e-9
+    for order, view in zip(orders.orders, orders.to_view[0], strict=True):
+        back = wd.order_efficiencies(grating, view, 600.0, ior=math.inf)
+        np.testing.assert_allclose(back[tuple(order)], orders[tuple(order)], rtol=1e-6, atol=1e-9)
+
+
+def test_many_orders_do_not_jump_at_the_horizon():
+    """More than 600 orders take their factors from a grid; the tilted light has one more, along the horizon."""
+    heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
+    upright, tilted = (
+        wd.order_efficiencies(heightfield, at_angle(angle), 480.0, ior=math.inf) for angle in (0.0, 1e-5)
+    )
+    assert len(upright.orders) > energy_normalisation.MOST_EXACT
+    assert len(tilted.orders) > len(upright.orders)
+    brightest = upright.orders[np.argsort(upright.efficiencies[0])[-20:]]
+    for order in brightest:
+        assert tilted[tuple(order)] == pytest.approx(upright[tuple(order)], rel=1e-3)
+
+
 def test_metals_are_normalised_and_glass_is_not():
     heightfield, light = wd.gratings.sinusoidal(1.1, 0.1), at_angle(30.0)
     gold, glass = wd.Material.metal("Au"), wd.Material.dielectric(1.5)

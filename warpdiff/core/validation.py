@@ -184,9 +184,9 @@ def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool
 
 def _look_like_degrees(vectors: NDArray[np.float64]) -> bool:
     """Whether vectors, shape (n, 3), consist of round angles, or of 1, and at least two components are not 0."""
-    sizes = np.abs(vectors)
-    if not sizes.size or not _LEAST_DEGREES <= sizes.max() <= _MOST_DEGREES:
+    if not vectors.size or not _LEAST_DEGREES <= max(vectors.max(), -vectors.min()) <= _MOST_DEGREES:
         return False
+    sizes = np.abs(vectors)
     is_round = (sizes % _ROUND_DEGREES == 0.0) | (sizes == 1.0)
     return bool(is_round.all() and np.any(np.count_nonzero(sizes, axis=1) > 1))
 

@@ -99,6 +99,8 @@ def order_efficiencies(
     ``energy="normalised"`` multiplies the efficiencies by a(ωi) a(ωr). The factors a make the orders of a perfect
     mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal, and closer to rigorous solutions for
     mirrors and metals.
+    Orders within 5.7° of the horizon have a smaller weight, down to 0 at the horizon, so that efficiencies are
+    continuous where an order begins to propagate.
 
     Args:
         heightfield: One period of the surface; a constant axis, which has a single sample, has order 0 only.

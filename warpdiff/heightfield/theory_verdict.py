@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -25,10 +25,13 @@ from warpdiff.core.threads import single_threaded_blas
 from warpdiff.optics.reflectance_factors import schlick
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
 
+_T = TypeVar("_T")
 Reason = Literal["steep", "deep", "narrow", "energy", "undersampled"]
 Grade = Literal["reliable", "qualitative", "invalid"]
 
@@ -64,7 +67,9 @@ _LEAST_COSINE = 0.1
 # of glass changes from order to order.
 _MIRROR, _GLASS = 1.0, 0.04
 
-_estimates: weakref.WeakKeyDictionary[HeightField, dict[float, _Estimates]] = weakref.WeakKeyDictionary()
+# Estimates of a field by the wavelength [nm], without the energy; and deviations of the sums over orders.
+_errors: weakref.WeakKeyDictionary[HeightField, dict[float, dict[Reason, float]]] = weakref.WeakKeyDictionary()
+_deviations: weakref.WeakKeyDictionary[HeightField, dict[float, tuple[float, float]]] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -121,15 +126,6 @@ _REASONS: dict[Reason, str] = {
 }
 
 
-@dataclass(frozen=True)
-class _Estimates:
-    """Errors of a height field at a wavelength by their reason, and deviations from 1 of the sums over its orders."""
-
-    errors: dict[Reason, float]
-    of_mirror: float
-    of_glass: float
-
-
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
     """Wavelength of the verdict on calls in a range of wavelengths [nm]: 550, or the nearest end of the range."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
@@ -148,12 +144,12 @@ def verdict_on(
         energy_sum: Sum of Stam's efficiencies over the orders of a call, relative to the reflectance of a flat surface;
             None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
     """
-    estimates = _estimates_of(heightfield, wavelength_nm)
-    errors = dict(estimates.errors)
+    errors = dict(_cached(_errors, heightfield, wavelength_nm, errors_of))
     if energy_sum is not None:
         deviation = abs(energy_sum - 1.0)
     else:
-        deviation = estimates.of_mirror if conserves else max(estimates.of_mirror, estimates.of_glass)
+        of_mirror, of_glass = _cached(_deviations, heightfield, wavelength_nm, energy_deviations)
+        deviation = of_mirror if conserves else max(of_mirror, of_glass)
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
@@ -165,41 +161,46 @@ def verdict_on(
     return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
 
 
-@single_threaded_blas()
-@np.errstate(under="ignore")
-def _estimates_of(heightfield: HeightField, wavelength_nm: float) -> _Estimates:
-    """Return the estimates for a height field, from a cache."""
-    cached = _estimates.setdefault(heightfield, {})
+def _cached(
+    cache: weakref.WeakKeyDictionary[HeightField, dict[float, _T]], heightfield: HeightField, wavelength_nm: float,
+    make: Callable[[HeightField, float], _T],
+) -> _T:  # fmt: skip
+    """Return what ``make`` makes of a height field and a wavelength [µm], from a cache."""
+    cached = cache.setdefault(heightfield, {})
     if wavelength_nm not in cached:
         if len(cached) >= _MOST_CACHED:
             cached.clear()
-        cached[wavelength_nm] = _estimated(heightfield, 1e-3 * wavelength_nm)
+        cached[wavelength_nm] = make(heightfield, 1e-3 * wavelength_nm)
     return cached[wavelength_nm]
 
 
-def _estimated(heightfield: HeightField, wavelength_um: float) -> _Estimates:
+@single_threaded_blas()
+@np.errstate(under="ignore")
+def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, float]:
+    """Return the estimates of the error of an order by their reason, without the energy."""
     if heightfield.height_range_um == 0.0:
-        return _Estimates({"steep": 0.0, "deep": 0.0, "narrow": 0.0, "undersampled": 0.0}, 0.0, 0.0)
+        return {"steep": 0.0, "deep": 0.0, "narrow": 0.0, "undersampled": 0.0}
     heights, pitch_um, window = _part(heightfield, wavelength_um)
-    axes = (np.fft.fftfreq(n, pitch) for n, pitch in zip(heights.shape, pitch_um, strict=True))
-    v, u = (wavelength_um * frequency for frequency in np.meshgrid(*axes, indexing="ij"))
-    radius = np.hypot(u, v)
+    radius = np.hypot(*_orders(heights.shape, pitch_um, wavelength_um))
     scale = heights.size * float(np.sum(window**2))
     power = np.abs(np.fft.fft2(window * (heights - np.average(heights, weights=window)))) ** 2
     slope = 2.0 * math.pi / wavelength_um * math.sqrt(float(np.sum(power * np.minimum(radius, 1.0) ** 2)) / scale)
     light = np.abs(np.fft.fft2(window * np.exp(2j * math.pi / wavelength_um * heights))) ** 2 / scale
-    errors: dict[Reason, float] = {
+    return {
         "steep": _PER_SLOPE * slope,
         "deep": _PER_DEPTH * _lost_power(heightfield, wavelength_um),
         "narrow": _PER_NARROW_SHARE * float(np.sum(light[radius > _NARROW])),
         "undersampled": _PER_UNDERSAMPLED * _undersampled_share(heightfield, wavelength_um),
     }
-    deviations = (0.0, 0.0)
-    if np.ptp(heights) <= _MOST_RANGE * wavelength_um:
-        reachable = radius <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
-        orders = np.stack([u[reachable], v[reachable]], axis=1)
-        deviations = _energy_deviations(heights / wavelength_um, window, orders, reachable)
-    return _Estimates(errors, *deviations)
+
+
+def _orders(
+    shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Order rates v and u, frequencies times the wavelength, of a transform, shape (ny, nx) each."""
+    rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
+    v, u = np.meshgrid(*rates, indexing="ij")
+    return v, u
 
 
 def _part(
@@ -256,17 +257,17 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
     return worst
 
 
-def _energy_deviations(
-    heights: NDArray[np.float64], window: NDArray[np.float64], orders: NDArray[np.float64], reachable: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """Largest deviations from 1 of the sums of Stam's efficiencies over some lights: of a mirror, and of glass.
-
-    Args:
-        heights: Heights in wavelengths, shape (ny, nx).
-        window: Weights of the heights, the same shape.
-        orders: Pairs (u, v) of the orders that some light reaches, shape (n, 2).
-        reachable: Mask of these orders among all frequencies, shape (ny, nx).
-    """
+@single_threaded_blas()
+@np.errstate(under="ignore")
+def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
+    """Return the largest deviations from 1 of the sums of Stam's efficiencies: of a mirror, and of glass."""
+    heights, pitch_um, window = _part(heightfield, wavelength_um)
+    heights = heights / wavelength_um
+    if heightfield.height_range_um == 0.0 or np.ptp(heights) > _MOST_RANGE:
+        return 0.0, 0.0
+    v, u = _orders(heights.shape, pitch_um, wavelength_um)
+    reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
+    orders = np.stack([u[reachable], v[reachable]], axis=1)
     # Each order has a κ of its own; its amplitude is interpolated between those of few κ by Chebyshev polynomials.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))

@@ -170,11 +170,12 @@ class Material:
 
         Args:
             path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of
-                wavelengths [µm, or nm if the header says so], n and k.
+                wavelengths [µm, or nm if the header says so], n and k. Rows outside 100 to 10,000 nm are cut off.
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file has no index of refraction that can be read.
+            ValueError: The file has no index of refraction that can be read, or a row that is not a wavelength with its
+                numbers; the message names the line.
 
         Examples:
             >>> import pathlib, tempfile
