@@ -23,10 +23,10 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.mathjax",
     "myst_nb",
     "sphinx_design",
     "sphinx_copybutton",
+    "formulas",
     "generated_reference",
 ]
 templates_path = ["templates"]
@@ -42,6 +42,9 @@ html_title = "warpdiff"
 html_static_path = ["static"]
 html_css_files = ["warpdiff.css"]
 html_show_sourcelink = False
+html_math_renderer = "mathml"
+# Without this value the theme writes an error to the console of the browser.
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "show_nav_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"],
     "show_toc_level": 2,

@@ -13,7 +13,7 @@ from conftest import slow, write_image
 
 import warpdiff as wd
 from warpdiff import gratings
-from warpdiff.apps import cli, cli_inputs, demo
+from warpdiff.apps import cli, cli_inputs, cli_progress, demo
 from warpdiff.apps.cli_options import given
 from warpdiff.core import disk_cache
 from warpdiff.core.options import describe
@@ -193,6 +193,7 @@ def test_info_of_the_scan(scan_path, capsys):
 )
 def test_invalid_input_has_exit_code_2(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli_progress, "_FIRST_S", 600.0)
     assert run(arguments) == 2
     error = capsys.readouterr().err
     assert message in error
@@ -393,7 +394,8 @@ def test_help_texts_explain_commands_and_options(capsys):
         assert "example:\n  warpdiff " + command in capsys.readouterr().out
 
 
-def test_warnings_are_one_line(tmp_path, capsys):
+def test_warnings_are_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cli_progress, "_FIRST_S", 600.0)
     heights = tmp_path / "h.npy"
     np.save(heights, np.zeros((8, 8)))
     assert cli.main(["info", "--heightfield", str(heights), "--pitch-um", "0.5"]) == 0

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import warpdiff as wd
 from warpdiff.apps import cli_commands, cli_inputs
 from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, integer, number, word
+from warpdiff.apps.cli_progress import CommandProgress
 from warpdiff.core.options import describe
 from warpdiff.core.wording import did_you_mean, spelled
 from warpdiff.optics.coherence import Coherence
@@ -52,11 +53,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     options, unknown = _parser(arguments).parse_known_args(arguments)
+    options.progress = progress = CommandProgress(options.command)
 
     def say(kind: str, message: object) -> None:
         text = spelled(message, lambda name, value: word(name, value, options.words))
         with contextlib.suppress(OSError):
-            print(f"warpdiff{kind}{text}", file=sys.stderr)
+            progress.print(f"warpdiff{kind}{text}", sys.stderr)
 
     if unknown:
         near = did_you_mean(unknown[0], options.flags)
@@ -73,7 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         warnings.showwarning = lambda message, *_, **__: say(": warning: ", message)
         try:
-            options.run(options)
+            # The viewer runs until it is interrupted, and its page shows the progress of pictures.
+            with progress if options.command != "view" else contextlib.nullcontext():
+                options.run(options)
         except KeyboardInterrupt:
             say(": ", "interrupted")
             return 130

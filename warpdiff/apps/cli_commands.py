@@ -32,11 +32,6 @@ if TYPE_CHECKING:
 _MOST_PORT, _GRAZING_DEG = 65_535, 90.0
 
 
-def _progress() -> bool:
-    """Whether progress bars are shown: only if standard error is a terminal."""
-    return sys.stderr.isatty()
-
-
 def render(options: argparse.Namespace) -> None:
     """Render a picture of a body and save it."""
     _check_output(options)
@@ -44,7 +39,7 @@ def render(options: argparse.Namespace) -> None:
     mesh, heightfield, view = cli_inputs.scene_of(options)
     lights = cli_inputs.lights_of(options, view, environment)
     settings = cli_inputs.settings_of(options, SinglePictureSettings)
-    image = wd.shade(mesh, heightfield, lights, view, **settings, progress=_progress())
+    image = wd.shade(mesh, heightfield, lights, view, **settings, progress=options.progress)
     background = None
     if environment is not None and options.environment_behind:
         # With a constant index of refraction, pictures are divided by the reflectance at normal incidence. The
@@ -103,7 +98,7 @@ def sequence(options: argparse.Namespace) -> None:
             from distributed import Client
 
             client = stack.enter_context(Client(options.scheduler))
-        paths = wd.sequence(renderer, shots, options.output, **saving, client=client, progress=_progress())
+        paths = wd.sequence(renderer, shots, options.output, **saving, client=client, progress=options.progress)
     print(renderer.plan)
     print(f"{len(paths)} frames in {Path(options.output).resolve()}")
     if "animation" in options:
@@ -123,7 +118,7 @@ def export_html(options: argparse.Namespace) -> None:
         "material": cli_inputs.material_of(options),
     }
     baking["illuminant"] = cli_inputs.illuminant_of(options.illuminant)
-    lobes = wd.bake(heightfield, **baking, progress=_progress())
+    lobes = wd.bake(heightfield, **baking, progress=options.progress)
     path = wd.export_html(target, mesh, lobes, cli_inputs.lights_of(options, view), view, **page)
     print(lobes)
     print(f"{path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -140,7 +135,7 @@ def brdf(options: argparse.Namespace) -> None:
     to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
     image = wd.reflectance_map(
         cli_inputs.height_field_of(options), to_light, illuminant=cli_inputs.illuminant_of(options.illuminant),
-        **cli_inputs.settings_of(options, wd.reflectance_map), progress=_progress(),
+        **cli_inputs.settings_of(options, wd.reflectance_map), progress=options.progress,
     )  # fmt: skip
     _save(image, options)
 
@@ -150,7 +145,10 @@ def demo(options: argparse.Namespace) -> None:
     from warpdiff.apps import demo
 
     shown = given(options, describe(wd.Image.save))
-    paths = demo.run(options.output, data=options.data, scale=options.scale, **shown, say=print, progress=_progress())
+    paths = demo.run(
+        options.output, data=options.data, scale=options.scale, **shown,
+        say=lambda line: options.progress.print(line, sys.stdout), progress=options.progress,
+    )  # fmt: skip
     print(f"{len(paths)} pictures in {Path(options.output).resolve()}")
 
 

@@ -58,6 +58,15 @@ class Viewer:
         return error
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _default_interruption():
+    """Set the default handler: programs such as nohup ignore the signal, and the servers inherit that."""
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")

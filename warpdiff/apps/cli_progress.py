@@ -1,0 +1,102 @@
+"""Progress of a command: a bar if standard error is a terminal, otherwise lines of text at growing intervals."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from types import TracebackType
+    from typing import Self, TextIO
+
+# Time from the start of a command to its first sign of progress, and between two updates of a bar [s]. Derived: imports
+# take less than another second, so a user waits for at most 2 s. Twice the value doubles that wait.
+_FIRST_S = 1.0
+# Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the lines.
+_MOST_BETWEEN_LINES_S = 600.0
+
+
+class CommandProgress:
+    """Display of a running command's progress on standard error. Calls set the finished share of the work.
+
+    A thread draws the display, because planning and compilation report no share for many seconds. Commands shorter
+    than a second display nothing.
+    """
+
+    def __init__(self, command: str) -> None:
+        self._command, self._share = command, 0.0
+        self._stream: TextIO = sys.stderr
+        self._begin = time.monotonic()
+        self._ended = threading.Event()
+        self._lock = threading.Lock()
+        self._bar: Any = None
+        self._thread = threading.Thread(target=self._run, name="warpdiff-progress", daemon=True)
+
+    def __call__(self, share: float) -> None:
+        """Set the finished share, 0 to 1."""
+        self._share = share
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _traceback: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def print(self, text: str, stream: TextIO) -> None:
+        """Print a line to a stream at once, not into the line of the bar."""
+        with self._lock:
+            if self._bar is not None:
+                self._bar.clear()
+            print(text, file=stream, flush=True)
+
+    def _run(self) -> None:
+        """Draw the display until the command ends. A closed standard error ends the display, not the command."""
+        with contextlib.suppress(OSError, ValueError):
+            if self._stream.isatty():
+                self._draw_bar()
+            else:
+                self._write_lines()
+
+    def _draw_bar(self) -> None:
+        if self._ended.wait(_FIRST_S):
+            return
+        from tqdm import tqdm
+
+        with self._lock:
+            # The clock of the bar includes the time before its display.
+            self._bar = tqdm(
+                total=1.0, desc=self._command, file=self._stream, leave=False, delay=_FIRST_S,
+                bar_format="{desc}  {bar}  {percentage:3.0f} %  {elapsed}",
+            )  # fmt: skip
+            self._bar.start_t -= time.monotonic() - self._begin
+        try:
+            while True:
+                with self._lock:
+                    self._bar.n = self._share
+                    self._bar.refresh()
+                if self._ended.wait(_FIRST_S):
+                    return
+        finally:
+            with self._lock:
+                self._bar.close()
+                self._bar = None
+
+    def _write_lines(self) -> None:
+        interval = _FIRST_S
+        while not self._ended.wait(interval):
+            elapsed = time.monotonic() - self._begin
+            with self._lock:
+                print(
+                    f"warpdiff {self._command}: {100.0 * self._share:.0f} % after {elapsed:.0f} s",
+                    file=self._stream,
+                    flush=True,
+                )
+            # The time between lines is the time so far: 1, 2, 4, 8 s and so on.
+            interval = min(elapsed, _MOST_BETWEEN_LINES_S)
