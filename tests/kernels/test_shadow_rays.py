@@ -232,6 +232,7 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
     assert np.any(unhidden.xyz != result.xyz)
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_face_it():
     # A snake is viewed from below and illuminated from behind. None of its pixels faces the light. The smaller subpixel
     # cells of the next level partly face the light, but they are in shadow.

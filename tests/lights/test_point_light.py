@@ -107,6 +107,7 @@ def test_too_much_light_is_refused(fingers):
         wd.shade(square(), fingers, bright, VIEW, **OPTIONS)
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_shadow_rays_stop_at_the_light(fingers):
     scene = trimesh.Scene([square(), square(height=2.0, size=0.4)])
     view = wd.View.orthographic((3.0, 0.4, 4.0), (0, 0, 0), extent_y=0.3, width=4, height=3)
@@ -118,6 +119,7 @@ def test_shadow_rays_stop_at_the_light(fingers):
     assert not above.illuminated.any()
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
     light = wd.PointLight((0.3, -0.2, 0.9))
     options = OPTIONS | {"refine": False}

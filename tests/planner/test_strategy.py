@@ -55,6 +55,7 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:no pair of")
 def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(request_of_fingers):
     lights = np.array([at_angle(60.0), at_angle(20.0), at_angle(100.0)])
     direction_range, _, _ = strategy.directions_of(request_of_fingers, lights)

@@ -377,6 +377,7 @@ def test_pictures_do_not_depend_on_the_number_of_parts_of_a_tile_list(tube, fing
     assert parts.report.refined_share == whole.report.refined_share
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_launches_are_recorded_again_if_others_are_needed(fingers, plans, recorded):
     ball = trimesh.creation.icosphere(subdivisions=3)
     along_x = np.cross([0.0, 0.0, 1.0], ball.vertices) + np.array([1e-3, 0.0, 0.0])

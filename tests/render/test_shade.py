@@ -106,6 +106,7 @@ def test_the_illuminant_changes_the_white():
         np.testing.assert_allclose(image.xyz, np.broadcast_to(white, image.xyz.shape), rtol=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_lights_add(snake, fingers):
     lights = [
         SNAKE_LIGHT,
@@ -130,6 +131,7 @@ def test_lights_add(snake, fingers):
     assert not dark.xyz.any()
 
 
+@pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_a_light_below_the_horizon_adds_nothing(fingers):
     view = wd.View((0.3, -1.5, 2.0), (0, 0, 0), width=24, height=18)
     for to_light in ((0.3, 0.1, -1.0), (1.0, 0.0, 0.0), (0.2, 0.4, -1e-9)):
