@@ -13,7 +13,7 @@ import numpy as np
 from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, readers
+from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, readers, scale_checks
 
 if TYPE_CHECKING:
     import os
@@ -63,7 +63,7 @@ class HeightField:
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
         self._set(heights_um, pitch_um)
-        diagnostics.warn_of_scale(self)
+        scale_checks.warn_of_scale(self)
 
     @classmethod
     def of_known_scale(cls, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> HeightField:
@@ -90,7 +90,8 @@ class HeightField:
                 f"{ref('heights_um')} of {ny} × {nx} samples",
                 f"take {{share}} of the area, or a larger {ref('pitch_um')}",
             )
-        heights = validation.finite_array(heights_um, "heights_um", ndim=2, gaps=True, most=validation.MOST)
+        heights = validation.finite_array(heights_um, "heights_um", ndim=2, gaps=True)
+        scale_checks.check_magnitude(heights, validation.MOST)
         if heights.size == 0:
             raise ArgumentValueError(f"{ref('heights_um')} must have at least one sample, got shape {heights.shape}")
         missing = np.isnan(heights)

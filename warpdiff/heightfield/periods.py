@@ -107,6 +107,7 @@ class _Search:
         return result
 
     def _measured(self, spectrum, line):
+        line = self._fundamental(spectrum, line)
         length = float(np.hypot(*line.cycles))
         band = max(_BAND * length, _LEAST_BAND)
         before = spectrum.excess(line, band)
@@ -138,8 +139,22 @@ class _Search:
             self.heights = residual
             return wave, after_spectrum
         wave = self._wavering(line, band)
-        self._exclude(line.cycles if wave is None else wave.q * self.sizes, band)
+        self._exclude(line.cycles, band, harmonics=False)
+        if wave is not None:
+            self._exclude(wave.q * self.sizes, band)
         return wave, spectrum
+
+    def _fundamental(self, spectrum, line):
+        best = line
+        power = spectrum.around(line.cycles)
+        for order in (2, 3, 4, 5):
+            place = spectrum.strongest_within(line.cycles / order, 1.0 + 0.05 * np.hypot(*line.cycles) / order)
+            if np.hypot(*place) < FEWEST_PERIODS: break
+            if spectrum.around(place) > power:
+                candidate = spectrum.line_at(place)
+                if candidate is not None:
+                    power, best = spectrum.around(place), candidate
+        return best
 
     def _without_sine(self, heights, cycles):
         cycles, wave = fit_sine(heights, self.known, cycles)
@@ -180,7 +195,13 @@ class _Search:
         harmonics = np.zeros(fit.orders[-1]); harmonics[fit.orders - 1] = fit.amplitudes
         k = self.known
         share = max(float(np.mean(self.heights[k] ** 2) - np.mean(residual[k] ** 2)) / self.variance, 0.0)
-        return _Wave(q, error, tuple(harmonics.tolist()), share, ("coherent", ratio, noise))
+        dbg = []
+        for axis in fit.free:
+            ny, nx = self.heights.shape
+            ks, js = np.meshgrid(np.arange(1, 1 + min(24, ny * nx // max(ny, nx) and max(ny, nx) // 4)), [-1, 0, 1] if min(ny, nx) > 1 else [0], indexing="ij")
+            v = power[ks % ny, js % nx] if axis == 0 else power[js % ny, ks % nx]
+            dbg.append((ks, js, v))
+        return _Wave(q, error, tuple(harmonics.tolist()), share, ("coherent", ratio, noise, dbg, fit.covariance, along, frequency))
 
     def _wavering(self, line, band):
         from scipy import fft, special
@@ -235,7 +256,7 @@ class _Search:
         error = math.sqrt(s0) / float(np.sum(d)) * total / max(excess, 1e-300)
         error *= float(special.stdtrit(dof, 0.97725)) / 2.0
         share = 2.0 * excess / periodic.size / self.variance
-        return _Wave(q, error, (math.sqrt(max(4.0 * excess / periodic.size, 0.0)),), share, ("wavering", radius, line, rms))
+        return _Wave(q, error, (math.sqrt(max(4.0 * excess / periodic.size, 0.0)),), share, ("wavering", radius, line, rms, kk[half & (kk > 0) & (kk < 12)], spec[half & (kk > 0) & (kk < 12)], float(np.sum(d)) * max(excess, 1e-300) / total, frequency))
 
 
 def _extrapolated(power, axis, shape, at):

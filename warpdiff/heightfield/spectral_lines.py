@@ -97,6 +97,16 @@ class WindowedSpectrum:
         inside = np.hypot(rows - line.cycles[0], columns - line.cycles[1]) <= radius
         return float(np.sum((power - line.background_at(rows, columns))[inside]))
 
+    def around(self, cycles):
+        """Power within the main lobe around a frequency."""
+        row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
+        return float(np.sum(self.power[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]))
+
+    def line_at(self, cycles):
+        """Line at a frequency that is significant by itself, without regard to the number of frequencies."""
+        place = tuple(np.intp(round(float(c)) + centre) for c, centre in zip(cycles, self.centre, strict=True))
+        return self._examined(place, (1, 1), 1.0, 1e-2)
+
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
         """Frequency of the largest power within ``radius`` cycles around another frequency."""
         rows, columns = self._window(cycles, radius)
