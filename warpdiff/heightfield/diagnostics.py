@@ -106,8 +106,7 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
         periods=tuple(
             period
             for period in heightfield.periods()
-            if not period.is_waviness
-            and period.standard_error_um <= _MOST_STANDARD_ERROR * period.period_um
+            if period.standard_error_um <= _MOST_STANDARD_ERROR * period.period_um
             and period.share >= _LEAST_SHARE
         ),
         max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * pitch) if pitch else math.inf,

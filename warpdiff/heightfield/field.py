@@ -448,7 +448,7 @@ class HeightField:
             14.0
         """
         cleaning.require_memory("whole_periods", self.shape)
-        return periods.cut_whole(self)
+        return periods.cut_whole(self)[0]
 
     def periods(self, count: int = 3) -> tuple[periods.Period, ...]:
         """Fit the strongest periods: waves of any length and direction with their harmonics, by least squares.

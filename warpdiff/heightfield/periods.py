@@ -1,4 +1,4 @@
-"""Periods of a height field: significant lines of its spectrum, their mean frequency, and its standard error."""
+"""Periods of a height field: lines of its spectrum, their mean frequency, and its standard error."""
 
 from __future__ import annotations
 
@@ -21,25 +21,74 @@ if TYPE_CHECKING:
 
 # Share of the variance below which a wave is not reported.
 _LEAST_SHARE = 1e-3
-# Radius of the band around a line, relative to its frequency, and at least [cycles].
+# Deviation of the heights relative to their magnitude below which a field counts as flat.
+_ROUNDING = 1e-10
+# Periods that a field may lack of the fewest, as a fitted frequency has an error.
+_ROUNDED_PERIODS = 0.02
+# Radius of the band around a line, relative to its frequency, and at least [cycles over the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Power that a fit may leave in the band, relative to that of the fitted wave, for the wave to count as coherent.
+# Radius of the bands around the harmonics of a line, relative to its frequency.
+_HARMONIC_BAND = 0.5
+# Radius of a band in standard deviations of its line.
+_BAND_IN_DEVIATIONS = 2.5
+# Distance of two lines [cycles], below which they are one: the main lobe of the window.
+_RESOLUTION = 2.5
+# Power that a sine may leave in the band relative to its own, for a wave to count as coherent.
 _COHERENT = 0.5
-# Share of that power that a second wave must explain, to be no part of a wavering line.
+# Share of the rest of the band that a second sine must explain, to be another wave and not a part of a wavering one.
 _SECOND = 0.7
+# Largest step and number of steps of the search for the centre of a band.
+_MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
+# Lowest frequencies [cycles over the field] whose power gives a standard error: along an axis for coherent waves, in
+# all directions for wavering ones. And the frequency of the equivalent white noise: 0.5 is derived for an endless
+# random walk of the phase; fitted by bench/reproduce/periods.py, for two axes and for one.
+_COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
+_COHERENT_AT, _WAVERING_AT = (0.5, 0.35), (0.4, 0.7)
+# Ratios of the power of random walk and white noise at one cycle that are tried.
+_WALKS = (0.0, *(10.0 ** np.arange(-0.5, 2.6, 0.25)).tolist())
 
 
 @dataclass(frozen=True)
 class Period:
+    """Periodic wave in a height field, with its harmonics.
+
+    A period is found if its line in the spectrum is significantly higher than the spectrum at lower and at higher
+    frequencies of the same direction. Noise of any correlation has no such line.
+
+    Attributes:
+        period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, weighted by its power.
+        standard_error_um: Standard error of the period [µm], as an estimate for the whole surface of which the field is
+            a part. It includes noise and the variation of the period over the field. Two standard errors contain the
+            mean of the surface in about 95 % of fields.
+        direction_deg: Direction of the wave vector [degrees], from x towards y, above −90 and at most 90.
+        harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, as the pitch allows; 0 for
+            harmonics below the noise. A wave that wavers by more than a fraction of a period over the field has only
+            the root mean square amplitude of its fundamental.
+        share: Share of the variance of the heights, without tilt, that the wave explains.
+        frequency: Wave vector (y, x) [cycles per µm].
+        is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> x = np.arange(730) * 0.02
+        >>> ripples = 0.1 * np.cos(np.pi * x) + np.random.default_rng(0).normal(0.0, 0.01, (40, 730))
+        >>> period = wd.HeightField(ripples, pitch_um=0.02).periods()[0]
+        >>> isinstance(period, wd.Period), round(period.period_um, 2), round(period.direction_deg)
+        (True, 2.0, 0)
+    """
+
     period_um: float
     standard_error_um: float
     direction_deg: float
     harmonics_um: tuple[float, ...]
     share: float
     frequency: tuple[float, float]
-    debug: object = None
+    is_coherent: bool
 
     def __str__(self) -> str:
+        """Return the period with its error, and its direction."""
+        # The error is printed with one digit, and the period to the same decimal place.
         digits = max(-math.floor(math.log10(max(self.standard_error_um, 1e-6 * self.period_um))), 0)
         length = f"{self.period_um:.{digits}f} ± {self.standard_error_um:.{digits}f} µm"
         return f"{length} at {round(self.direction_deg)}°"
@@ -49,239 +98,306 @@ class Period:
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
+    """Find the strongest periods, see `HeightField.periods`."""
     field = heightfield.levelled(1)
     known = ~field.missing
-    values = field.heights_um[known]
-    scale = float(np.max(np.abs(heightfield.heights_um[known])))
-    deviation = float(np.std(values))
-    if deviation <= 1e-10 * scale or heightfield.heights_um.size < 8:
+    deviation = field.rms_um
+    if deviation <= _ROUNDING * float(np.max(np.abs(heightfield.heights_um[known]))):
         return ()
-    search = _Search(field.filled().heights_um / deviation, known, heightfield.size_um)
+    # Heights of unit variance over a field of unit extent: nothing depends on the unit.
+    extent = max(field.size_um)
+    size = field.size_um[0] / extent, field.size_um[1] / extent
+    search = _Search(np.where(known, field.heights_um, field.filled().heights_um) / deviation, known, size)
     with single_threaded_blas():
-        waves = search.waves(count)
-    result = [wave.period(deviation) for wave in waves]
-    return tuple(sorted((p for p in result if p.share >= _LEAST_SHARE), key=lambda period: -period.share))
+        waves = search.strongest(count)
+    periods = [wave.period(deviation, extent) for wave in waves if wave.share >= _LEAST_SHARE]
+    return tuple(sorted(periods, key=lambda period: -period.share))
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Wave:
+    """Wave in heights of unit variance over a field of unit extent.
+
+    Attributes:
+        q: Frequency (y, x).
+        error: Standard error of the frequency along the wave vector.
+        harmonics: Amplitudes.
+        share: Share of the variance.
+        is_coherent: See `Period`.
+    """
+
     q: NDArray[np.float64]
     error: float
     harmonics: tuple[float, ...]
     share: float
-    debug: object
+    is_coherent: bool
 
-    def period(self, deviation: float) -> Period:
+    def period(self, deviation: float, extent: float) -> Period:
+        """Return the period in µm, for the standard deviation and the larger extent of the field."""
         frequency = float(np.hypot(*self.q))
-        qy, qx = self.q.tolist()
+        qy, qx = (self.q / extent).tolist()
         if qx < 0.0 or (qx == 0.0 and qy < 0.0):
             qy, qx = -qy, -qx
         return Period(
-            1.0 / frequency, self.error / frequency**2, math.degrees(math.atan2(qy, qx)) + 0.0,
-            tuple(deviation * a for a in self.harmonics), self.share, (qy, qx), self.debug
+            period_um=extent / frequency, standard_error_um=extent * self.error / frequency**2,
+            direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0,
+            harmonics_um=tuple(deviation * amplitude for amplitude in self.harmonics), share=self.share,
+            frequency=(qy, qx), is_coherent=self.is_coherent,
         )  # fmt: skip
 
 
 class _Search:
-    """Search for waves one after the other, in heights of standard deviation 1."""
+    """Search for waves one after the other.
 
-    def __init__(self, heights, known, sizes):
+    Coherent waves are fitted and subtracted with their harmonics. The bands of other waves are excluded from the
+    further search, as are bands around all harmonics.
+
+    Attributes:
+        heights: Heights of unit variance without the waves found so far, gaps filled, shape (ny, nx).
+        known: Mask of the samples that are not missing.
+        sizes: Extents along y and x.
+        excluded: Mask of the coefficients, zero frequency in the centre, that belong to waves found so far.
+        bands: Frequencies [cycles over the field] and radii of the bands of coherent waves.
+        wavering: Frequencies of the other waves [cycles over the field].
+    """
+
+    def __init__(
+        self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]
+    ) -> None:
         self.heights, self.known, self.sizes = heights, known, np.array(sizes)
-        self.pitch = tuple(s / n for s, n in zip(sizes, heights.shape))
+        self.pitch = sizes[0] / heights.shape[0], sizes[1] / heights.shape[1]
         self.excluded = np.zeros(heights.shape, dtype=bool)
-        self.variance = float(np.mean(heights[known] ** 2))
-        self.found = []
+        self.bands: list[tuple[NDArray[np.float64], float]] = []
+        self.wavering: list[NDArray[np.float64]] = []
 
-    def waves(self, count):
-        result = []
-        spectrum = WindowedSpectrum(self.heights, self.sizes)
+    @property
+    def is_plane(self) -> bool:
+        """Whether both axes have more than one sample."""
+        return min(self.heights.shape) > 1
+
+    def strongest(self, count: int) -> list[_Wave]:
+        """Return at most ``count`` waves."""
+        waves: list[_Wave] = []
+        spectrum = WindowedSpectrum(self.heights)
+        # Side lines of waves that were found already are examined and rejected.
         for _ in range(3 * count + 2):
-            line = spectrum.strongest_line(self.excluded)
+            line = spectrum.strongest_line(self.excluded, self.sizes)
             if line is None:
                 break
             wave, spectrum = self._measured(spectrum, line)
-            if wave is not None:
-                result.append(wave)
-                if len(result) == count:
+            if wave is not None and math.hypot(*(wave.q * self.sizes)) >= FEWEST_PERIODS - _ROUNDED_PERIODS:
+                waves.append(wave)
+                if len(waves) == count:
                     break
-        return result
+        return waves
 
-    def _measured(self, spectrum, line):
+    def _measured(self, spectrum: WindowedSpectrum, line: Line) -> tuple[_Wave | None, WindowedSpectrum]:
+        """Return the wave of a line, or None for a part of another one, and the spectrum for the next search."""
         line = self._fundamental(spectrum, line)
         length = float(np.hypot(*line.cycles))
         band = max(_BAND * length, _LEAST_BAND)
         before = spectrum.excess(line, band)
-        cycles, residual, after_spectrum = self._without_sine(self.heights, line.cycles)
-        strayed = np.hypot(*(cycles - line.cycles)) > max(2.0, 0.1 * length)
-        after = after_spectrum.excess(line, band)
-        spread = 2.0 * line.background * math.sqrt(np.pi * band**2 / 2.25 if min(self.heights.shape) > 1 else 2 * band / 1.5)
-        ratio = (after - spread) / max(before - after, 1e-300)
-        near = [o for o in self.found if self._near(line.cycles, o)]
-        if near and (strayed or (before - after) / max(before, 1e-300) < _SECOND or any(np.hypot(*(cycles - o[0])) < 4 for o in near)):
-            # A part of the band of a stronger line.
-            self._exclude(line.cycles, 3.0, harmonics=False)
+        cycles, residual = self._without_sine(self.heights, line.cycles)
+        rest = WindowedSpectrum(residual)
+        after = rest.excess(line, band)
+        has_strayed = _distance(cycles, line.cycles) > max(2.0, 0.1 * length)
+        close = [centre for centre, radius in self.bands if _distance(line.cycles, centre) <= radius]
+        if close and (
+            has_strayed
+            or before - after < _SECOND * before
+            or min(_distance(cycles, centre) for centre in close) < _RESOLUTION + 1.5
+        ):
+            self._exclude(line.cycles, _LEAST_BAND)
             return None, spectrum
-        coherent = not strayed and ratio < _COHERENT
-        if not coherent and not strayed:
-            # A second wave of a similar frequency explains nearly all of the rest; a wavering line is more than two.
-            place = after_spectrum.strongest_within(line.cycles, band)
-            spectrum2 = self._without_sine(residual, place)[2]
-            after2 = spectrum2.excess(line, band)
-            coherent = 1.0 - after2 / max(after, 1e-300) > _SECOND and np.hypot(*(place - cycles)) > 2
-        if coherent:
-            fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
-            residual = np.where(self.known, self.heights - fit.heights(), 0.0)
-            after_spectrum = WindowedSpectrum(residual, self.sizes)
-            cycles = fit.q * self.sizes
-            wave = self._coherent(fit, residual, ratio)
-            self._exclude(cycles, 2.5)
-            self.found.append((cycles, band))
-            self.heights = residual
-            return wave, after_spectrum
+        if not has_strayed and self._is_coherent(line, band, before, after, rest, residual, cycles):
+            return self._coherent(cycles, band)
         wave = self._wavering(line, band)
-        self._exclude(line.cycles, band, harmonics=False)
-        if wave is not None:
-            self._exclude(wave.q * self.sizes, band)
+        self._exclude(line.cycles, band)
+        if wave is None or any(_distance(wave.q * self.sizes, other) <= band for other in self.wavering):
+            return None, spectrum
+        self._exclude_harmonics(wave.q * self.sizes, band)
+        self.wavering.append(wave.q * self.sizes)
         return wave, spectrum
 
-    def _fundamental(self, spectrum, line):
-        best = line
-        power = spectrum.around(line.cycles)
+    def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
+        """Return the line of which a line is a harmonic, if it has more power."""
+        best, power = line, spectrum.around(line.cycles)
         for order in (2, 3, 4, 5):
-            place = spectrum.strongest_within(line.cycles / order, 1.0 + 0.05 * np.hypot(*line.cycles) / order)
-            if np.hypot(*place) < FEWEST_PERIODS: break
+            guess = line.cycles / order
+            place = spectrum.strongest_within(guess, 1.0 + 0.05 * float(np.hypot(*guess)))
+            if np.hypot(*place) < FEWEST_PERIODS:
+                break
             if spectrum.around(place) > power:
-                candidate = spectrum.line_at(place)
-                if candidate is not None:
-                    power, best = spectrum.around(place), candidate
+                lower = spectrum.line_at(place, self.sizes)
+                if lower is not None:
+                    best, power = lower, spectrum.around(place)
         return best
 
-    def _without_sine(self, heights, cycles):
-        cycles, wave = fit_sine(heights, self.known, cycles)
-        residual = np.where(self.known, heights - wave, 0.0)
-        return cycles, residual, WindowedSpectrum(residual, self.sizes)
+    def _is_coherent(
+        self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
+        residual: NDArray[np.float64], cycles: NDArray[np.float64],
+    ) -> bool:  # fmt: skip
+        """Whether a sine explains a line, or nearly does so together with a second one at a distance."""
+        coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
+        noise = 2.0 * line.background * math.sqrt(coefficients)
+        if after - noise < _COHERENT * (before - after):
+            return True
+        second, without_both = self._without_sine(residual, rest.strongest_within(line.cycles, band))
+        left = WindowedSpectrum(without_both).excess(line, band)
+        return after - left > _SECOND * after and _distance(second, cycles) > 2.0
 
-    def _near(self, cycles, other):
-        return np.hypot(*(cycles - other[0])) <= other[1]
+    def _without_sine(
+        self, heights: NDArray[np.float64], cycles: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the frequency of the sine near another one [cycles], and heights without it."""
+        fitted, sine = fit_sine(heights, self.known, cycles)
+        return fitted, np.where(self.known, heights - sine, 0.0)
 
-    def _exclude(self, cycles, radius, harmonics=True):
-        shape = np.array(self.heights.shape)
-        if np.hypot(*cycles) == 0: return
-        for order in range(1, (MOST_HARMONICS if harmonics else 1) + 1):
-            for sign in (1.0, -1.0):
-                # Harmonics beyond the Nyquist limit alias.
-                place = sign * order * np.asarray(cycles)
-                place = place - shape * np.round(place / shape)
-                self._mask(place, radius if order == 1 else max(radius, 0.5 * np.hypot(*cycles)))
+    def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[_Wave, WindowedSpectrum]:
+        """Fit a wave with its harmonics, and subtract it."""
+        fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
+        residual = np.where(self.known, self.heights - fit.heights(), 0.0)
+        frequency = float(np.hypot(*fit.q))
+        along = np.array([fit.q[axis] / self.sizes[axis] for axis in fit.free]) / frequency
+        noise = self._noise(fit, residual)
+        covariance = fit.covariance * np.sqrt(np.outer(noise, noise))
+        harmonics = np.zeros(fit.orders[-1])
+        harmonics[fit.orders - 1] = fit.amplitudes
+        known = self.known
+        wave = _Wave(
+            fit.q, math.sqrt(max(float(along @ covariance @ along), 0.0)), tuple(harmonics.tolist()),
+            max(float(np.mean(self.heights[known] ** 2) - np.mean(residual[known] ** 2)), 0.0), is_coherent=True,
+        )  # fmt: skip
+        self.heights = residual
+        self.bands.append((fit.q * self.sizes, band))
+        self._exclude_harmonics(fit.q * self.sizes, _RESOLUTION)
+        return wave, WindowedSpectrum(residual)
 
-    def _mask(self, cycles, radius):
-        parts = [np.arange(max(math.ceil(c - radius), -(n // 2)), min(math.floor(c + radius) + 1, (n + 1) // 2)) for c, n in zip(cycles, self.heights.shape)]
-        if all(p.size for p in parts):
-            y, x = parts
-            self.excluded[y[0] + self.heights.shape[0] // 2 : y[-1] + 1 + self.heights.shape[0] // 2, x[0] + self.heights.shape[1] // 2 : x[-1] + 1 + self.heights.shape[1] // 2] |= np.hypot(y[:, None] - cycles[0], x[None] - cycles[1]) <= radius
+    def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
+        """Variances of white noise that is equivalent to the residual, for the frequency along each axis.
 
-    def _coherent(self, fit, residual, ratio):
-        score = np.where(self.known, residual * fit.slopes(), 0.0)
-        normal = float(np.mean(np.where(self.known, fit.slopes() ** 2, 0.0)))
-        power = np.abs(np.fft.fft2(score)) ** 2 / score.size / normal
-        noise = [
-            _extrapolated(power, axis, self.heights.shape, 0.503)[0] for axis in fit.free
-        ]
-        cov = fit.covariance * np.sqrt(np.outer(noise, noise))
-        q = fit.q
-        frequency = float(np.hypot(*q))
-        along = np.array([q[a] / self.sizes[a] for a in fit.free]) / frequency
-        error = math.sqrt(max(float(along @ cov @ along), 0.0))
-        harmonics = np.zeros(fit.orders[-1]); harmonics[fit.orders - 1] = fit.amplitudes
-        k = self.known
-        share = max(float(np.mean(self.heights[k] ** 2) - np.mean(residual[k] ** 2)) / self.variance, 0.0)
-        dbg = []
+        The residual times the derivative of the wave by its phase is the score of the phase. Its lowest frequencies
+        disturb the fitted frequency, whether they come from noise, from the steps between scan lines or from a wave
+        that wavers.
+        """
+        slopes = np.where(self.known, fit.slopes(), 0.0)
+        power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))
+        beside = np.array([-1, 0, 1] if self.is_plane else [0])
+        result = []
         for axis in fit.free:
-            ny, nx = self.heights.shape
-            ks, js = np.meshgrid(np.arange(1, 1 + min(24, ny * nx // max(ny, nx) and max(ny, nx) // 4)), [-1, 0, 1] if min(ny, nx) > 1 else [0], indexing="ij")
-            v = power[ks % ny, js % nx] if axis == 0 else power[js % ny, ks % nx]
-            dbg.append((ks, js, v))
-        return _Wave(q, error, tuple(harmonics.tolist()), share, ("coherent", ratio, noise, dbg, fit.covariance, along, frequency))
+            most = max(min(_COHERENT_ORDINATES, power.shape[axis] // 4), 1)
+            along, across = np.meshgrid(np.arange(1, most + 1), beside, indexing="ij")
+            index = (along, across) if axis == 0 else (across, along)
+            result.append(_low_power(power[index], along**2 + across**2, _COHERENT_AT[not self.is_plane]))
+        return result
 
-    def _wavering(self, line, band):
+    def _wavering(self, line: Line, band: float) -> _Wave | None:
+        """Measure the mean frequency of a wave whose phase wavers; None if its band has no power above the background.
+
+        The mean frequency is the centre of a disc around itself. The standard error is from the slow variation of the
+        local frequency over the field.
+        """
         from scipy import fft, special
+
         periodic = self.heights - cleaning.smooth_part(self.heights)
-        coefficients = np.fft.fftshift(fft.fft2(periodic)) / math.sqrt(periodic.size)
-        ny, nx = self.heights.shape
-        rows = (np.arange(ny) - float(ny // 2))[:, None]; columns = (np.arange(nx) - float(nx // 2))[None]
-        centre = line.cycles.copy()
-        radius = band
-        window = np.ix_(*(np.abs(a.ravel() - c) <= 1.6 * band + 2 for a, c in zip((rows, columns), centre)))
-        rows, columns = rows[window[0].ravel()], columns[:, window[1].ravel()]
-        coefficients = coefficients[window]
-        spectrum = np.abs(coefficients) ** 2
-        excess_power = spectrum - line.background_at(rows, columns)
-        for step in range(12):
+        centres = [n // 2 for n in periodic.shape]
+        places = [
+            np.arange(max(math.ceil(c - 1.6 * band - 2.0), -centre), min(int(c + 1.6 * band + 3.0), n - centre))
+            for c, n, centre in zip(line.cycles, periodic.shape, centres, strict=True)
+        ]
+        coefficients = fft.fft2(periodic)[np.ix_(*places)] / math.sqrt(periodic.size)
+        rows, columns = places[0][:, None], places[1][None, :]
+        power = np.abs(coefficients) ** 2
+        above = power - line.background_at(rows, columns)
+        centre, radius = line.cycles, band
+        for _ in range(_MOST_STEPS):
             dy, dx = rows - centre[0], columns - centre[1]
-            away = np.hypot(dy, dx)
-            inside = away <= radius
-            power = np.where(inside, excess_power, 0.0)
-            excess = float(np.sum(power))
+            inside = np.hypot(dy, dx) <= radius
+            excess = float(np.sum(above[inside]))
             if excess <= 0.0:
                 return None
-            shift = np.array([float(np.sum(power * dy)), float(np.sum(power * dx))]) / excess
-            rms = math.sqrt(max(float(np.sum(power * away**2)), 0.0) / excess)
-            centre = centre + np.clip(shift, -0.3 * radius, 0.3 * radius)
-            radius = max(min(2.5 * rms, _BAND * float(np.hypot(*centre))), _LEAST_BAND)
-            if np.max(np.abs(shift)) < 1e-3:
+            shift = np.array([np.sum((above * dy)[inside]), np.sum((above * dx)[inside])]) / excess
+            variance = max(float(np.sum((above * (dy**2 + dx**2))[inside])) / excess, 0.0)
+            centre = centre + np.clip(shift, -_LARGEST_STEP * radius, _LARGEST_STEP * radius)
+            radius = min(_BAND_IN_DEVIATIONS * math.sqrt(variance), _BAND * float(np.hypot(*centre)))
+            radius = max(radius, _LEAST_BAND)
+            if np.max(np.abs(shift)) < _CONVERGED:
                 break
         q = centre / self.sizes
         frequency = float(np.hypot(*q))
-        unit = q / frequency
-        # local
-        reach = int(radius) + 1
+        if not frequency > 0.0:
+            return None
+        # The local frequency is the imaginary part of z*∂z over |z|², with z the wave without its mean phase.
         part = np.where(inside, coefficients, 0.0)
-        rr, cc = rows.ravel(), columns.ravel()
-        off = (rr - centre[0])[:, None] * unit[0] / self.sizes[0] + (cc - centre[1])[None] * unit[1] / self.sizes[1]
-        grid = [1 if n == 1 else max(4 * reach + 4, m) for n, m in zip((ny, nx), part.shape)]
-        z = np.fft.ifft2(part, grid); zo = np.fft.ifft2(part * off, grid)
-        u = (np.conj(z) * zo).real
-        d = np.abs(z) ** 2
-        delta = float(np.sum(u) / np.sum(d))
-        u = u - delta * d
-        spec = np.abs(np.fft.fft2(u)) ** 2
-        ky = np.fft.fftfreq(grid[0], 1 / grid[0])[:, None]; kx = np.fft.fftfreq(grid[1], 1 / grid[1])[None]
-        kk = np.hypot(ky, kx)
-        half = (kx > 0) | ((kx == 0) & (ky > 0))
-        use = half & (kk > 0) & (kk < (2.4 if min(ny, nx) > 1 else 4.5))
-        ordinates = spec[use]
-        dof = 2 * ordinates.size
-        s0 = float(np.mean(ordinates))
-        total = float(np.sum(np.where(inside, spectrum, 0.0)))
-        error = math.sqrt(s0) / float(np.sum(d)) * total / max(excess, 1e-300)
-        error *= float(special.stdtrit(dof, 0.97725)) / 2.0
-        share = 2.0 * excess / periodic.size / self.variance
-        return _Wave(q, error, (math.sqrt(max(4.0 * excess / periodic.size, 0.0)),), share, ("wavering", radius, line, rms, kk[half & (kk > 0) & (kk < 12)], spec[half & (kk > 0) & (kk < 12)], float(np.sum(d)) * max(excess, 1e-300) / total, frequency))
+        offset = (q[0] * (rows - centre[0]) / self.sizes[0] + q[1] * (columns - centre[1]) / self.sizes[1]) / frequency
+        grid = [n if n == 1 else 2 * n for n in part.shape]
+        wave, derivative = fft.ifft2(part, grid), fft.ifft2(part * offset, grid)
+        density = np.abs(wave) ** 2
+        score = (np.conj(wave) * derivative).real
+        score -= density * float(np.sum(score) / np.sum(density))
+        spectrum = np.abs(fft.fft2(score)) ** 2
+        distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
+        low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
+        variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
+        # Noise within the band has no mean frequency of its own, but counts as power.
+        error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
+        degrees = np.count_nonzero(low)
+        error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
+        # Half of the power is at the opposite frequency.
+        share = 2.0 * excess / periodic.size
+        return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
+
+    def _exclude_harmonics(self, cycles: NDArray[np.float64], radius: float) -> None:
+        """Exclude a band around a frequency, and wider ones around its harmonics and their aliases."""
+        self._exclude(cycles, radius)
+        shape = np.array(self.heights.shape)
+        for order in range(2, MOST_HARMONICS + 1):
+            place = order * cycles
+            place = place - shape * np.round(place / shape)
+            self._exclude(place, max(radius, _HARMONIC_BAND * float(np.hypot(*cycles))))
+
+    def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
+        """Exclude a band around a frequency and the opposite one from the further search."""
+        for centre in (cycles, -cycles):
+            rows, columns = (
+                np.arange(max(math.ceil(c - radius), -(n // 2)), min(math.floor(c + radius) + 1, n - n // 2))
+                for c, n in zip(centre, self.excluded.shape, strict=True)
+            )
+            inside = np.hypot(rows[:, None] - centre[0], columns[None, :] - centre[1]) <= radius
+            ny, nx = self.excluded.shape
+            self.excluded[np.ix_(rows + ny // 2, columns + nx // 2)] |= inside
 
 
-def _extrapolated(power, axis, shape, at):
-    """Noise power at ``at`` cycles along an axis from ordinates: a + b / k²."""
-    ny, nx = shape
-    other = [-1, 0, 1] if min(shape) > 1 else [0]
-    ks, js = np.meshgrid(np.arange(1, 7), other, indexing="ij")
-    n = shape[axis]
-    ok = ks < n // 2
-    ks, js = ks[ok], js[ok]
-    values = power[ks % ny, js % nx] if axis == 0 else power[js % ny, ks % nx]
-    k2 = (ks**2 + js**2).astype(float)
-    values = np.maximum(values, 1e-300)
-    best = []
-    for r in [0.0, *(10.0 ** np.arange(-0.5, 2.6, 0.25))]:
-        shape_ = 1.0 + r / k2
-        a = float(np.mean(values / shape_))
-        loglik = -float(np.sum(np.log(a * shape_))) - values.size
-        best.append((loglik, a * (1.0 + r / at**2)))
-    l = np.array([b[0] for b in best]); v = np.array([b[1] for b in best])
-    w = np.exp(l - l.max()); w /= w.sum()
-    return float(np.sum(w * v)), float(v[np.argmax(l)])
+def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Distance of two frequencies [cycles]."""
+    return float(np.hypot(*(a - b)))
 
 
-def cut_whole(heightfield: HeightField) -> HeightField:
+def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: float) -> float:
+    """Extrapolate a power spectrum to a low frequency, as the sum of white noise and a random walk, a + b/k².
+
+    Args:
+        power: Powers at the lowest frequencies; each is distributed exponentially.
+        squares: Squares of the frequencies k.
+        at: Frequency to which the spectrum is extrapolated.
+
+    Returns:
+        The geometric mean of the power there over all ratios of both, weighted by their likelihoods. The most likely
+        ratio alone is often 0 for a few powers of a random walk.
+    """
+    values = np.maximum(power, 1e-300)
+    likelihoods, results = [], []
+    for walk in _WALKS:
+        shape = 1.0 + walk / squares
+        white = float(np.mean(values / shape))
+        likelihoods.append(-float(np.sum(np.log(white * shape))))
+        results.append(math.log(white * (1.0 + walk / at**2)))
+    weights = np.exp(np.array(likelihoods) - max(likelihoods))
+    return math.exp(float(np.average(results, weights=weights)))
+
+
+def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
+    """Crop to the largest part of whole periods, see `HeightField.whole_periods`; return it and the period."""
     periods = fit(heightfield, 3)
     if not periods:
         raise ArgumentValueError(
@@ -292,5 +408,6 @@ def cut_whole(heightfield: HeightField) -> HeightField:
     for axis in (0, 1):
         frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
+        # Along its grooves a wave shifts by less than a period, and the axis stays unchanged.
         size.append(number / frequency if number else heightfield.size_um[axis])
-    return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0))
+    return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

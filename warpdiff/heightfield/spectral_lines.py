@@ -19,26 +19,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Widths [cycles] of the boxes over which the spectrum is averaged: narrow lines need 1, lines of wavering waves more.
-_WIDTHS = (1, 3, 7, 15, 31)
-# Probability that noise exceeds the threshold anywhere in the spectrum, for each width.
-_FALSE_ALARM = 5e-4
-# Smallest power of a line that is wider than the resolution, relative to the background: this much the estimate of
-# the background may be wrong.
+# An axis must have at least so many boxes.
+_WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
+# Probability that noise exceeds the threshold anywhere in the spectrum, for each width; and for a single frequency.
+_FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
+# Smallest power of a line that is wider than the resolution, relative to the background: by less than this factor the
+# estimate of the background is wrong. If doubled, lines of weak wavering waves are lost.
 _LEAST_CONTRAST = 4.0
 # Largest number of maxima of each width that are examined. Limit: time.
 _MOST_CANDIDATES = 60
-# Half width of the main lobe of the Hann window [cycles].
+# Half width of the main lobe of the Hann window [cycles], at which its power is below 1 %.
 _MAIN_LOBE = 1.8
-# Bins of the coarse background: rings per octave, and sectors of the half plane.
-_RINGS, _SECTORS = 8, 12
+# Half width of the strips along a wave vector, relative to the frequency, and number of rows of coefficients in them.
+_STRIP, _MOST_ALONG = 0.15, 40
+# Bins of the coarse background: rings per octave, and sectors of the half plane; and the number of coefficients from
+# which it is estimated. Limit: time.
+_RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
+# Frequency [cycles] below which all coefficients are taken.
+_FEW_CYCLES = 64.0
+# Smallest and largest exponent of the background; steeper ones come from few coefficients.
+_EXPONENTS = (-4.0, 8.0)
 # Directions of the straight lines through a maximum.
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
-# Number of coefficients from which the coarse background is estimated. Limit: time.
-_MOST_SAMPLED = 200_000
-# Factor of the mean of exponentially distributed powers over their median.
-_MEAN_OF_MEDIAN = 1.0 / math.log(2.0)
-_MEAN_OF_QUARTILE = -1.0 / math.log(0.75)
+# Factors of the mean of exponentially distributed powers over their median, and over their lower quartile.
+_MEAN_OF_MEDIAN, _MEAN_OF_QUARTILE = 1.0 / math.log(2.0), -1.0 / math.log(0.75)
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,8 @@ class Line:
 
     Attributes:
         cycles: Frequency (y, x) [cycles over the field].
-        background: Power per coefficient around the line.
+        background: Power per coefficient of the background at this frequency.
+        exponent: Exponent p of the background, which decreases as the power −p of the frequency.
         excess: Power of the line above the background.
     """
 
@@ -56,38 +62,34 @@ class Line:
     exponent: float
     excess: float
 
-    def background_at(self, rows, columns):
-        """Background at frequencies (broadcast)."""
-        length = float(np.hypot(*self.cycles))
-        along = np.abs(rows * self.cycles[0] + columns * self.cycles[1]) / length**2
-        return self.background * np.clip(along, 0.3, 3.0) ** -self.exponent
+    def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Background at frequencies near the line [cycles], which are broadcast."""
+        along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
+        return self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent
 
 
 class WindowedSpectrum:
     """Power spectrum of heights (ny, nx) with a Hann window, with the zero frequency in the centre.
 
     Attributes:
-        power: Powers, shape (ny, nx).
-        extents: Extents of the field along y and x, relative to the larger one.
+        power: Powers, shape (ny, nx); 1 for white noise of variance 1.
         centre: Index of the zero frequency.
     """
 
-    def __init__(self, heights: NDArray[np.float64], extents: tuple[float, float]) -> None:
+    def __init__(self, heights: NDArray[np.float64]) -> None:
         from scipy import fft
 
-        window = [np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in heights.shape]
-        scale = math.prod(float(np.sum(w**2)) for w in window)
-        self.power = np.fft.fftshift(np.abs(fft.fft2(heights * np.outer(*window))) ** 2) / scale
-        largest = max(extents)
-        self.extents = (extents[0] / largest, extents[1] / largest)
+        windows = [np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in heights.shape]
+        scale = math.prod(float(np.sum(window**2)) for window in windows)
+        spectrum = fft.fft2(heights * windows[0][:, None] * windows[1])
+        self.power = np.fft.fftshift(spectrum.real**2 + spectrum.imag**2) / scale
         self.centre = tuple(n // 2 for n in heights.shape)
-        self._radius: NDArray[np.float64] | None = None
 
     @property
-    def cycles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _cycles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Cycles of the rows, shape (ny, 1), and of the columns, shape (1, nx)."""
         ny, nx = self.power.shape
-        return (np.arange(ny) - float(self.centre[0]))[:, None], (np.arange(nx) - float(self.centre[1]))[None, :]
+        return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
     def excess(self, line: Line, radius: float) -> float:
         """Power above the background within ``radius`` cycles around a line."""
@@ -97,15 +99,23 @@ class WindowedSpectrum:
         inside = np.hypot(rows - line.cycles[0], columns - line.cycles[1]) <= radius
         return float(np.sum((power - line.background_at(rows, columns))[inside]))
 
-    def around(self, cycles):
+    def around(self, cycles: NDArray[np.float64]) -> float:
         """Power within the main lobe around a frequency."""
-        row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
-        return float(np.sum(self.power[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]))
+        return float(np.sum(self.power[self._main_lobe(self._place(cycles))]))
 
-    def line_at(self, cycles):
-        """Line at a frequency that is significant by itself, without regard to the number of frequencies."""
-        place = tuple(np.intp(round(float(c)) + centre) for c, centre in zip(cycles, self.centre, strict=True))
-        return self._examined(place, (1, 1), 1.0, 1e-2)
+    def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
+        """Return the narrow line at a frequency, or None; it need not be significant among all frequencies."""
+        return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes)
+
+    def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
+        """Index of the coefficient next to a frequency."""
+        row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
+        return row, column
+
+    @staticmethod
+    def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
+        """Slices of the main lobe of the window around a coefficient."""
+        return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
         """Frequency of the largest power within ``radius`` cycles around another frequency."""
@@ -122,43 +132,37 @@ class WindowedSpectrum:
             for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
         ]
 
-    def strongest_line(self, excluded: NDArray[np.bool_]) -> Line | None:
-        """Return the significant line of the largest power outside of a mask of the shape of ``power``, or None."""
-        white = self.power / self._coarse_background()
-        allowed = self._allowed() & ~excluded
-        best: Line | None = None
-        for width in _WIDTHS:
-            line = self._strongest_of_width(white, allowed, width)
-            if line is not None and (best is None or line.excess > best.excess):
-                best = line
-        return best
+    def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
+        """Return the significant line of the largest power outside of a mask of the shape of ``power``, or None.
 
-    def _allowed(self) -> NDArray[np.bool_]:
-        """One half plane of the frequencies that the samples support and that repeat often enough."""
-        rows, columns = self.cycles
+        Args:
+            excluded: Coefficients that are not searched.
+            sizes: Extents of the field along y and x.
+        """
+        white = self.power / self._coarse_background(sizes)
+        rows, columns = self._cycles
         ny, nx = self.power.shape
         half = (columns > 0) | ((columns == 0) & (rows > 0))
         supported = (np.abs(rows) <= 0.5 * OF_NYQUIST * ny) & (np.abs(columns) <= 0.5 * OF_NYQUIST * nx)
-        return np.asarray(half & supported & (np.hypot(rows, columns) >= FEWEST_PERIODS - 0.5))
+        allowed = half & supported & ~excluded
+        lines = (self._strongest_of_width(white, allowed, width, sizes) for width in _WIDTHS)
+        return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
-    def _distance(self) -> NDArray[np.float64]:
-        """Frequency [cycles over the longer side]."""
-        rows, columns = self.cycles
-        return np.hypot(rows / self.extents[0], columns / self.extents[1])
-
-    def _coarse_background(self) -> NDArray[np.float64]:
+    def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Background by quartiles over rings and sectors, and along both axes, where steps between lines have power."""
-        rows, columns = self.cycles
-        frequency = np.maximum(self._distance(), 1.0)
+        rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
+        # Cycles over the longer side.
+        frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
         ring = np.floor(_RINGS * np.log2(frequency)).astype(np.int32)
-        angle = np.arctan2(rows / self.extents[0], columns / self.extents[1])
+        angle = np.arctan2(rows, columns)
         sector = np.floor((_SECTORS / np.pi) * angle).astype(np.int32) % _SECTORS
         count, is_plane = int(ring.max()) + 1, min(self.power.shape) > 1
         # One half plane suffices, and of high frequencies a part.
         subset = np.broadcast_to(columns >= 0 if self.power.shape[1] > 1 else rows >= 0, self.power.shape)
         step = self.power.size // _MOST_SAMPLED
         if step > 1:
-            subset = subset & ((frequency < 64.0) | ((np.arange(self.power.size) % step == 0).reshape(self.power.shape)))
+            sampled = (np.arange(self.power.size) % step == 0).reshape(self.power.shape)
+            subset = subset & ((frequency < _FEW_CYCLES) | sampled)
         power, rings, sectors = self.power[subset], ring[subset], sector[subset]
         by_ring = _ring_background(power, rings, count, reach=_RINGS // 2 if is_plane else _RINGS)
         result = by_ring[ring]
@@ -177,136 +181,143 @@ class WindowedSpectrum:
         return np.maximum(result, 1e-300)
 
     def _strongest_of_width(
-        self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int
+        self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
         """Return the strongest significant line of the spectrum averaged over boxes."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
         if width > 1:
-            if min(n for n in white.shape if n > 1) < 4 * width:
+            if min(n for n in white.shape if n > 1) < _LEAST_BOXES * width:
                 return None
             white = ndimage.uniform_filter(white, sides, mode="wrap")
-            allowed = allowed & (np.hypot(*self.cycles) >= max(FEWEST_PERIODS, width))
+        allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
         # Neighbouring coefficients of a Hann window are correlated.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
-        trials = max(np.count_nonzero(allowed) / independent, 1.0)
-        level = _FALSE_ALARM / trials
-        peaks = allowed & (white == ndimage.maximum_filter(white, tuple(min(n, s + 2) for n, s in zip(white.shape, sides)), mode="wrap"))
-        values = np.where(peaks, white, 0.0)
+        level = _FALSE_ALARM / max(np.count_nonzero(allowed) / independent, 1.0)
+        around = tuple(min(n, side + 2) for n, side in zip(white.shape, sides, strict=True))
+        values = np.where(allowed & (white == ndimage.maximum_filter(white, around, mode="wrap")), white, 0.0)
         best: Line | None = None
         for _ in range(_MOST_CANDIDATES):
-            place = np.unravel_index(int(np.argmax(values)), values.shape)
-            value = float(values[place])
+            row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+            value = float(values[row, column])
             if special.gammaincc(independent, independent * value) > level or (width > 1 and value < _LEAST_CONTRAST):
                 break
-            values[place] = 0.0
-            line = self._examined(place, sides, independent, level)
+            values[row, column] = 0.0
+            line = self._examined((int(row), int(column)), sides, independent, level, sizes)
             if line is not None and (best is None or line.excess > best.excess):
                 best = line
         return best
 
     def _examined(
-        self, place: tuple[np.intp, ...], sides: tuple[int, ...], independent: float, level: float
-    ) -> Line | None:
-        """Compare the power of a box with that at lower and at higher frequencies of the same direction, and with that
-        along any straight line through it.
+        self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
+        sizes: NDArray[np.float64],
+    ) -> Line | None:  # fmt: skip
+        """Return the line in a box around a coefficient, if it is significant.
+
+        It must exceed the spectrum at lower and at higher frequencies of the same direction, and along any straight
+        line through it.
         """
-        box = tuple(
-            slice(max(int(i) - side // 2, 0), int(i) + side // 2 + 1) for i, side in zip(place, sides, strict=True)
-        )
+        width = max(sides)
+        box = tuple(slice(max(i - side // 2, 0), i + side // 2 + 1) for i, side in zip(place, sides, strict=True))
         power = self.power[box]
         mean = float(np.mean(power))
-        cycles = np.array([float(i) - c for i, c in zip(place, self.centre, strict=True)])
-        background, count, local, exponent = self._of_same_direction(cycles, max(sides))
-        if not count or not _is_significant(mean / background, independent, count, level, max(sides)):
+        cycles = np.array([float(i - c) for i, c in zip(place, self.centre, strict=True)])
+        medians, distances, count = self._of_same_direction(cycles, width, sizes)
+        if not count or not _is_significant(mean / max(medians), independent, count, level, width):
             return None
-        offsets = [np.arange(s.start, s.start + n) - c for s, n, c in zip(box, power.shape, self.centre, strict=True)]
-        weight = np.maximum(power - background, 0.0)
-        centroid = np.array([np.sum(weight * offsets[0][:, None]), np.sum(weight * offsets[1][None, :])])
-        centroid /= max(float(np.sum(weight)), 1e-300)
-        if min(self.power.shape) > 1:
-            ratio, inside, outside = self._over_ridge(centroid, mean, max(sides))
-            if not _is_significant(ratio, inside, outside, level, max(sides)):
-                return None
-        if max(sides) == 1:
-            # All power of a narrow line is within the main lobe.
-            power = self.power[tuple(slice(max(int(i) - 2, 0), int(i) + 3) for i in place)]
-        return Line(centroid, local, exponent, float(np.sum(power - local)))
-
-    def _of_same_direction(self, cycles: NDArray[np.float64], width: int) -> tuple[float, int, float, float]:
-        """Return the larger background of both sides of a line along its wave vector, the number of coefficients (0 if
-        there are none at lower frequencies), and the power law through both: its value at the line, and its exponent.
-        """
-        vector = cycles / self.extents
-        length = float(np.hypot(*vector))
-        unit = vector / length
-        # Distances of neighbouring coefficients along the wave vector and across.
-        along = 1.0 / float(np.max(np.abs(unit) * self.extents))
-        across = 1.0 / float(np.max(np.abs(unit[::-1]) * self.extents))
-        gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
-        reach = max(0.15 * length, 2.5 * across) if min(self.power.shape) > 1 else 0.0
-        lowest = max(min(0.5 * length, length - gap - 1.5 * along), 0.8 * along)
-        ranges = (
-            (lowest, min(0.8 * length, length - gap)),
-            (max(1.25 * length, length + gap), max(1.8 * length, length + gap + 3.0 * along)),
+        rows, columns = (
+            np.arange(part.start, part.start + n) - centre
+            for part, n, centre in zip(box, power.shape, self.centre, strict=True)
         )
-        medians: list[float] = []
-        distances: list[float] = []
-        total = 0
-        for low, high in ranges:
-            if high < low:
-                t = np.array([high]) if high >= 0.8 * along else np.zeros(0)
-            else:
-                t = np.linspace(low, high, min(int((high - low) / along) + 1, 40))
-            s = np.linspace(-reach, reach, min(2 * int(reach / across) + 1, 15)) if reach else np.zeros(1)
-            places = [
-                np.round((t[:, None] * unit[axis] + s * sign * unit[1 - axis]) * self.extents[axis]).astype(np.int64)
-                + self.centre[axis]
-                for axis, sign in ((0, 1.0), (1, -1.0))
-            ]
-            ny, nx = self.power.shape
-            inside = (places[0] >= 0) & (places[0] < ny) & (places[1] >= 0) & (places[1] < nx)
-            distinct = np.unique(places[0][inside] * nx + places[1][inside])
-            if distinct.size:
-                medians.append(max(_MEAN_OF_MEDIAN * float(np.median(self.power.ravel()[distinct])), 1e-300))
-                distances.append(float(np.mean(t)) / length)
-                total += distinct.size
-            elif not total:
-                return 0.0, 0, 0.0, 0.0
+        weight = np.maximum(power - max(medians), 0.0)
+        centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
+        if min(self.power.shape) > 1:
+            ratio, inside, outside = self._over_ridge(centroid, mean, width)
+            if not _is_significant(ratio, inside, outside, level, width):
+                return None
         exponent = 0.0
         if len(medians) == 2:
             exponent = math.log(medians[0] / medians[1]) / math.log(distances[1] / distances[0])
-            exponent = min(max(exponent, -4.0), 8.0)
-        return max(medians), total, medians[0] * distances[0] ** exponent, exponent
+            exponent = min(max(exponent, _EXPONENTS[0]), _EXPONENTS[1])
+        background = medians[0] * distances[0] ** exponent
+        # All power of a narrow line is within the main lobe.
+        lobe = self.power[self._main_lobe(place)] if width == 1 else power
+        return Line(centroid, background, exponent, float(np.sum(lobe - background)))
+
+    def _of_same_direction(
+        self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
+    ) -> tuple[list[float], list[float], int]:
+        """Return the background at lower and at higher frequencies of the same direction, their distances from the zero
+        frequency relative to that of the line, and the number of their coefficients, 0 if there are no lower ones.
+        """
+        vector = cycles / sizes
+        length = float(np.hypot(*vector))
+        unit = vector / length
+        # Distances of neighbouring coefficients along the wave vector and across.
+        along = 1.0 / float(np.max(np.abs(unit) * sizes))
+        across = 1.0 / float(np.max(np.abs(unit[::-1]) * sizes))
+        gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
+        reach = max(_STRIP * length, 2.5 * across) if min(self.power.shape) > 1 else 0.0
+        lowest = max(min(0.5 * length, length - gap - 1.5 * along), 0.8 * along)
+        medians, distances, total = [], [], 0
+        for low, high in (
+            (lowest, min(0.8 * length, length - gap)),
+            (max(1.25 * length, length + gap), max(1.8 * length, length + gap + 3.0 * along)),
+        ):
+            if high >= low:
+                t = np.linspace(low, high, min(int((high - low) / along) + 1, _MOST_ALONG))
+            else:
+                t = np.array([high]) if high >= 0.8 * along else np.zeros(0)
+            values = self._on_grid(t, np.linspace(-reach, reach, min(2 * int(reach / across) + 1, 15)), unit, sizes)
+            if values.size:
+                medians.append(max(_MEAN_OF_MEDIAN * float(np.median(values)), 1e-300))
+                distances.append(float(np.mean(t)) / length)
+                total += values.size
+            elif not total:
+                break
+        return medians, distances, total
+
+    def _on_grid(
+        self, along: NDArray[np.float64], across: NDArray[np.float64], unit: NDArray[np.float64],
+        sizes: NDArray[np.float64],
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Return the distinct powers at distances along a unit vector (y, x) and across."""
+        ny, nx = self.power.shape
+        vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
+        row, column = (
+            np.round(vector * size).astype(np.int64) + centre
+            for vector, size, centre in zip(vectors, sizes, self.centre, strict=True)
+        )
+        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+        return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
         """Return the smallest power of a maximum relative to the rest of a straight line through it, and the numbers of
-        independent coefficients of both. Grinding marks and steps between scan lines make ridges in the spectrum, which
-        noise covers with maxima.
+        independent coefficients of both.
+
+        Grinding marks and steps between scan lines make ridges in the spectrum, which noise covers with maxima.
         """
         core = 0.5 * (width - 1) + _MAIN_LOBE
         reach = int(core + max(9, width // 2))
-        middle = np.round(cycles).astype(np.int64)
-        rows, columns = (np.arange(i - reach, i + reach + 1) for i in middle)
-        power = self.power[
-            np.ix_((rows + self.centre[0]) % self.power.shape[0], (columns + self.centre[1]) % self.power.shape[1])
-        ]
+        rows, columns = (np.arange(round(float(c)) - reach, round(float(c)) + reach + 1) for c in cycles)
+        ny, nx = self.power.shape
+        power = self.power[np.ix_((rows + self.centre[0]) % ny, (columns + self.centre[1]) % nx)]
         dy, dx = np.meshgrid(rows - cycles[0], columns - cycles[1], indexing="ij")
         distance = np.hypot(dy, dx)
-        outside, inside = (distance > core) & (distance <= reach), distance <= max(0.5 * (width - 1), 0.7)
+        outside, inside = (distance > core) & (distance <= reach), distance <= 0.5 * (width - 1)
+        rest, peak = power[outside], power[inside]
         across = [dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES for mask in (outside, inside)]
-        rest, core_power = power[outside], power[inside]
         best = (math.inf, 1.0, 1)
         for shift in (-0.7, 0.0, 0.7):
-            strips = [np.abs(a - shift) <= 0.6 for a in across]
+            on_rest, on_peak = (np.abs(part - shift) <= 0.6 for part in across)
             for i in range(len(_FAN_COSINES)):
-                values = rest[strips[0][:, i]]
-                own = core_power[strips[1][:, i]] if width > 1 else None
-                top = mean if own is None or not own.size else float(np.mean(own))
+                values = rest[on_rest[:, i]]
+                own = peak[on_peak[:, i]] if width > 1 else peak[:0]
+                top = float(np.mean(own)) if own.size else mean
                 ratio = top / max(_MEAN_OF_MEDIAN * float(np.median(values)), 1e-300)
                 if ratio < best[0]:
-                    best = ratio, 1.0 if own is None else max(own.size / 1.5, 1.0), values.size
+                    best = ratio, max(own.size / 1.5, 1.0), values.size
         return best
 
 
@@ -323,9 +334,11 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
     return bool(probability <= level and (width == 1 or ratio >= _LEAST_CONTRAST))
 
 
-def _ring_background(power: NDArray[np.float64], ring: NDArray[np.int64], count: int, reach: int) -> NDArray[np.float64]:
-    """Estimate the mean power of each ring from the median over ``reach`` rings on both sides; rings without any
-    coefficient take the value of the next one.
+def _ring_background(
+    power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
+) -> NDArray[np.float64]:
+    """Estimate the mean power of each ring from the quartile over ``reach`` rings on both sides; rings without any
+    coefficient take interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))
@@ -335,6 +348,4 @@ def _ring_background(power: NDArray[np.float64], ring: NDArray[np.int64], count:
         if part.size:
             result[i] = _MEAN_OF_QUARTILE * float(np.quantile(part, 0.25))
     known = np.flatnonzero(~np.isnan(result))
-    if not known.size:
-        return np.zeros(count)
-    return np.interp(np.arange(count), known, result[known])
+    return np.interp(np.arange(count), known, result[known]) if known.size else np.zeros(count)
