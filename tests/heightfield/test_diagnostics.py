@@ -1,8 +1,7 @@
-"""Diagnostics: the summary, wrong units, and the error bound of scalar diffraction against rigorous solutions."""
+"""Diagnostics: the summary, and the error bound of scalar diffraction against rigorous solutions."""
 
 import json
 import math
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +9,9 @@ import pytest
 from conftest import at_angle
 
 import warpdiff as wd
-from warpdiff.apps.cli_inputs import GRATINGS
 from warpdiff.heightfield.diagnostics import SCALAR_INVALID, scalar_error_bound, scalar_error_text
 
 RIGOROUS = Path(__file__).resolve().parents[2] / "bench" / "suite" / "rigorous.json"
-# 0.3 µm high, at 50 nm.
-SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
 
 
 def test_summary_reads_well() -> None:
@@ -154,44 +150,3 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
     assert np.quantile(normalised, 0.9) < np.quantile(stam, 0.9)
     assert normalised.mean() < 0.75 * stam.mean()
     assert np.mean(normalised <= 1.5 * np.array(bounds)) > 0.9
-
-
-@pytest.mark.parametrize(
-    ("height_factor", "pitch_factor", "message"),
-    [(1e-6, 1.0, r"less than an atom; are heights in metres\? Multiply them by 1e\+06"),
-     (1e-6, 1e-6, r"less than an atom; are heights in metres, and the pitch as well\?"),
-     (1e-3 * 0.3, 1.0, r"less than an atom; are heights in millimetres\? Multiply them by 1000"),
-     (1e3, 1.0, r"more than the size of 12\.8 µm; are heights in nanometres\? Multiply them by 0\.001"),
-     (1.0, 1e-6, r"more than the size of 1\.28e-05 µm; is the pitch in metres\?"),
-     (25.0, 1.0, r"a mean slope of \d\.\d+; are heights in nanometres\?")],
-)  # fmt: skip
-def test_implausible_scales_are_warned_of(height_factor: float, pitch_factor: float, message: str) -> None:
-    dy, dx = SCAN.pitch_um
-    with pytest.warns(wd.WarpdiffWarning, match=message):
-        wd.HeightField(SCAN.heights_um * height_factor, (dy * pitch_factor, dx * pitch_factor))
-
-
-def test_files_are_warned_of_and_what_is_made_of_them_is_not(tmp_path: Path) -> None:
-    np.save(tmp_path / "scan.npy", 1e-6 * SCAN.heights_um)
-    with pytest.warns(wd.WarpdiffWarning, match="metres.*HeightField.of_known_scale") as caught:
-        field = wd.HeightField.load(tmp_path / "scan.npy", extent_um=12.8)
-    assert len(caught) == 1
-    for made in (field.levelled(), field.cropped(5.0), field.periodic(), field.despiked(), field.resampled(0.1)):
-        assert made.height_range_um < 1e-4
-
-
-def test_surfaces_that_are_meant_are_not_warned_of() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for flat in (0.0, 0.37, -1e-7):
-            field = wd.HeightField(np.full((8, 8), flat), 0.05)
-            wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # Rounding of a tilt that was subtracted.
-        wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
-        wd.HeightField([[0.2]], 0.05)
-        for function, arguments in GRATINGS.values():
-            made = getattr(wd.gratings, function)(**arguments)
-            wd.HeightField(made.heights_um, made.pitch_um)
-        wd.gratings.sinusoidal(1.0, 0.0)
-        wd.gratings.lamellar(0.5, 3.0)
-        wd.HeightField.of_known_scale(1e-6 * SCAN.heights_um, SCAN.pitch_um)

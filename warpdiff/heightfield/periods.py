@@ -45,7 +45,7 @@ _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.5, 0.35), (0.4, 0.7)
 # Ratios of the power of random walk and white noise at one cycle that are tried.
-_WALKS = (0.0, *(10.0 ** np.arange(-0.5, 2.6, 0.25)).tolist())
+_WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 
 @dataclass(frozen=True)

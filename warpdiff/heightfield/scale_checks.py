@@ -91,8 +91,11 @@ def warn_of_grating(period_um: float, **depths_um: float) -> None:
     """Warn of a synthetic grating whose period or depth is probably in another unit."""
     for name, value in {"period_um": period_um, **depths_um}.items():
         if 0.0 < value < _ATOM_UM:
-            unit = min(("metres", "millimetres"), key=lambda unit: abs(math.log(value * _UNITS[unit])))
-            warn(f"{ref(name)} of {value:.4g} µm is less than an atom; is it in {unit}? Multiply it by {_UNITS[unit]:g}")
+            ratios = {unit: value * _UNITS[unit] / _TYPICAL_RANGE_UM for unit in ("metres", "millimetres")}
+            unit = min(ratios, key=lambda unit: abs(math.log(ratios[unit])))
+            warn(
+                f"{ref(name)} of {value:.4g} µm is less than an atom; is it in {unit}? Multiply it by {_UNITS[unit]:g}"
+            )
             return
     if period_um > _MOST_PERIOD_UM:
         warn(f"{ref('period_um')} of {period_um:.4g} µm is very long; is it in nanometres? Multiply it by 0.001")
