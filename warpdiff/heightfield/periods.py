@@ -43,7 +43,7 @@ _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 # all directions for wavering ones. And the frequency of the equivalent white noise: 0.5 is derived for an endless
 # random walk of the phase; fitted by bench/reproduce/periods.py, for two axes and for one.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
-_COHERENT_AT, _WAVERING_AT = (0.5, 0.35), (0.4, 0.7)
+_COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # Ratios of the power of random walk and white noise at one cycle that are tried.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
@@ -180,7 +180,7 @@ class _Search:
         waves: list[_Wave] = []
         spectrum = WindowedSpectrum(self.heights)
         # Side lines of waves that were found already are examined and rejected.
-        for _ in range(3 * count + 2):
+        for _ in range(2 * count + 2):
             line = spectrum.strongest_line(self.excluded, self.sizes)
             if line is None:
                 break

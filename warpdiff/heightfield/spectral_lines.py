@@ -27,11 +27,14 @@ _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
 # estimate of the background is wrong. If doubled, lines of weak wavering waves are lost.
 _LEAST_CONTRAST = 4.0
 # Largest number of maxima of each width that are examined. Limit: time.
-_MOST_CANDIDATES = 60
+_MOST_CANDIDATES = 40
 # Half width of the main lobe of the Hann window [cycles], at which its power is below 1 %.
 _MAIN_LOBE = 1.8
 # Half width of the strips along a wave vector, relative to the frequency, and number of rows of coefficients in them.
 _STRIP, _MOST_ALONG = 0.15, 40
+# Highest frequency of the background relative to that of the line, of fields and of profiles, which have fewer
+# coefficients.
+_HIGHEST = (1.8, 2.4)
 # Bins of the coarse background: rings per octave, and sectors of the half plane; and the number of coefficients from
 # which it is estimated. Limit: time.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
@@ -260,10 +263,11 @@ class WindowedSpectrum:
         gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
         reach = max(_STRIP * length, 2.5 * across) if min(self.power.shape) > 1 else 0.0
         lowest = max(min(0.5 * length, length - gap - 1.5 * along), 0.8 * along)
+        most = _HIGHEST[0 if reach else 1]
         medians, distances, total = [], [], 0
         for low, high in (
             (lowest, min(0.8 * length, length - gap)),
-            (max(1.25 * length, length + gap), max(1.8 * length, length + gap + 3.0 * along)),
+            (max(1.25 * length, length + gap), max(most * length, length + gap + 3.0 * along)),
         ):
             if high >= low:
                 t = np.linspace(low, high, min(int((high - low) / along) + 1, _MOST_ALONG))
@@ -306,19 +310,23 @@ class WindowedSpectrum:
         dy, dx = np.meshgrid(rows - cycles[0], columns - cycles[1], indexing="ij")
         distance = np.hypot(dy, dx)
         outside, inside = (distance > core) & (distance <= reach), distance <= 0.5 * (width - 1)
-        rest, peak = power[outside], power[inside]
-        across = [dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES for mask in (outside, inside)]
-        best = (math.inf, 1.0, 1)
-        for shift in (-0.7, 0.0, 0.7):
-            on_rest, on_peak = (np.abs(part - shift) <= 0.6 for part in across)
-            for i in range(len(_FAN_COSINES)):
-                values = rest[on_rest[:, i]]
-                own = peak[on_peak[:, i]] if width > 1 else peak[:0]
-                top = float(np.mean(own)) if own.size else mean
-                ratio = top / max(_MEAN_OF_MEDIAN * float(np.median(values)), 1e-300)
-                if ratio < best[0]:
-                    best = ratio, max(own.size / 1.5, 1.0), values.size
-        return best
+        order = np.argsort(power[outside])
+        rest, peak = power[outside][order], power[inside]
+        shifts = np.array([-0.7, 0.0, 0.7])[:, None, None]
+        on_rest, on_peak = (
+            np.abs(dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES - shifts) <= 0.6
+            for mask in (outside, inside)
+        )
+        # Medians of the sorted powers along each line, all at once.
+        number = np.cumsum(on_rest[:, order], axis=1, dtype=np.int32)
+        middle = np.argmax(2 * number >= number[:, -1:], axis=1)
+        medians = np.maximum(_MEAN_OF_MEDIAN * rest[middle], 1e-300)
+        counts = np.sum(on_peak, axis=1)
+        tops = np.where(counts > 0, np.einsum("spf,p->sf", on_peak, peak) / np.maximum(counts, 1), mean)
+        if width == 1:
+            tops, counts = np.full_like(medians, mean), np.zeros_like(counts)
+        least = np.unravel_index(int(np.argmin(tops / medians)), medians.shape)
+        return float(tops[least] / medians[least]), max(float(counts[least]) / 1.5, 1.0), int(number[:, -1][least])
 
 
 def _is_significant(ratio: float, independent: float, background_count: float, level: float, width: int) -> bool:
@@ -346,6 +354,7 @@ def _ring_background(
     for i in range(count):
         part = power[begin[max(i - reach, 0)] : begin[min(i + reach + 1, count)]]
         if part.size:
-            result[i] = _MEAN_OF_QUARTILE * float(np.quantile(part, 0.25))
+            quarter = part.size // 4
+            result[i] = _MEAN_OF_QUARTILE * float(np.partition(part, quarter)[quarter])
     known = np.flatnonzero(~np.isnan(result))
     return np.interp(np.arange(count), known, result[known]) if known.size else np.zeros(count)
