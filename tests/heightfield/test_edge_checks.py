@@ -58,7 +58,7 @@ def test_gratings_and_rough_patches_are_not_warned_of(make) -> None:
     assert messages(make()) == []
 
 
-@pytest.mark.filterwarnings("ignore:scalar diffraction")
+@pytest.mark.filterwarnings("ignore:scalar diffraction", "ignore:a pitch of")
 def test_reflectance_and_shade_warn() -> None:
     body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
     view = wd.View.fit(body, width=16, height=9)

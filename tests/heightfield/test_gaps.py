@@ -144,7 +144,7 @@ def test_despiking_and_making_periodic_leave_gaps() -> None:
     at_edge = gappy(waves(), X > 4.3).periodic()
     np.testing.assert_array_equal(at_edge.missing, X > 4.3)
     np.testing.assert_array_equal(gappy(waves()).cropped((2.0, 2.4)).missing, GAP[15:35, 15:45])
-    (period,) = gappy(0.2 * waves() + 0.02 * np.sin(2.0 * np.pi * X / 0.7)).periods()
+    (period,) = gappy(0.05 * waves() + 0.04 * np.sin(2.0 * np.pi * X / 0.7)).periods()
     assert period.period_um == pytest.approx(0.7, rel=0.01)
 
 

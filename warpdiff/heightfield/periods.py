@@ -29,6 +29,8 @@ _ROUNDED_PERIODS = 0.02
 _BAND, _LEAST_BAND = 0.35, 3.0
 # Radius of the bands around the harmonics of a line, relative to its frequency.
 _HARMONIC_BAND = 0.5
+# Highest harmonic whose alias is excluded; higher ones have little power, and would cover the spectrum.
+_MOST_ALIASED = 5
 # Radius of a band in standard deviations of its line.
 _BAND_IN_DEVIATIONS = 2.5
 # Distance of two lines [cycles], below which they are one: the main lobe of the window.
@@ -197,10 +199,11 @@ class _Search:
         length = float(np.hypot(*line.cycles))
         band = max(_BAND * length, _LEAST_BAND)
         before = spectrum.excess(line, band)
-        cycles, residual = self._without_sine(self.heights, line.cycles)
+        peak = spectrum.strongest_within(line.cycles, band)
+        cycles, residual = self._without_sine(self.heights, peak)
         rest = WindowedSpectrum(residual)
         after = rest.excess(line, band)
-        has_strayed = _distance(cycles, line.cycles) > max(2.0, 0.1 * length)
+        has_strayed = _distance(cycles, peak) > 2.0
         close = [centre for centre, radius in self.bands if _distance(line.cycles, centre) <= radius]
         if close and (
             has_strayed
@@ -353,8 +356,11 @@ class _Search:
         shape = np.array(self.heights.shape)
         for order in range(2, MOST_HARMONICS + 1):
             place = order * cycles
-            place = place - shape * np.round(place / shape)
-            self._exclude(place, max(radius, _HARMONIC_BAND * float(np.hypot(*cycles))))
+            alias = place - shape * np.round(place / shape)
+            if np.array_equal(place, alias):
+                self._exclude(place, max(radius, _HARMONIC_BAND * float(np.hypot(*cycles))))
+            elif order <= _MOST_ALIASED:
+                self._exclude(alias, radius)
 
     def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
         """Exclude a band around a frequency and the opposite one from the further search."""

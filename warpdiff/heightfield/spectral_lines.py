@@ -26,6 +26,8 @@ _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
 # Smallest power of a line that is wider than the resolution, relative to the background: by less than this factor the
 # estimate of the background is wrong. If doubled, lines of weak wavering waves are lost.
 _LEAST_CONTRAST = 4.0
+# Probability above which a maximum of the coarsely normalised spectrum is not examined.
+_EXAMINED = 1e-3
 # Largest number of maxima of each width that are examined. Limit: time.
 _MOST_CANDIDATES = 40
 # Half width of the main lobe of the Hann window [cycles], at which its power is below 1 %.
@@ -45,8 +47,10 @@ _EXPONENTS = (-4.0, 8.0)
 # Directions of the straight lines through a maximum.
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
-# Factors of the mean of exponentially distributed powers over their median, and over their lower quartile.
-_MEAN_OF_MEDIAN, _MEAN_OF_QUARTILE = 1.0 / math.log(2.0), -1.0 / math.log(0.75)
+# Quantile of the powers in a bin that gives the coarse background: at low frequencies, a line covers most of a bin.
+_QUANTILE = 0.15
+# Factors of the mean of exponentially distributed powers over their median, and over this quantile.
+_MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,7 @@ class WindowedSpectrum:
         return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
     def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Background by quartiles over rings and sectors, and along both axes, where steps between lines have power."""
+        """Background by quantiles over rings and sectors, and along both axes, where steps between lines have power."""
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
         # Cycles over the longer side.
         frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
@@ -204,7 +208,8 @@ class WindowedSpectrum:
         for _ in range(_MOST_CANDIDATES):
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             value = float(values[row, column])
-            if special.gammaincc(independent, independent * value) > level or (width > 1 and value < _LEAST_CONTRAST):
+            # The coarse background only orders the maxima, and may contain the line itself.
+            if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0
             line = self._examined((int(row), int(column)), sides, independent, level, sizes)
@@ -345,7 +350,7 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
 def _ring_background(
     power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
 ) -> NDArray[np.float64]:
-    """Estimate the mean power of each ring from the quartile over ``reach`` rings on both sides; rings without any
+    """Estimate the mean power of each ring from a quantile over ``reach`` rings on both sides; rings without any
     coefficient take interpolated values.
     """
     order = np.argsort(ring, kind="stable")
@@ -354,7 +359,7 @@ def _ring_background(
     for i in range(count):
         part = power[begin[max(i - reach, 0)] : begin[min(i + reach + 1, count)]]
         if part.size:
-            quarter = part.size // 4
-            result[i] = _MEAN_OF_QUARTILE * float(np.partition(part, quarter)[quarter])
+            rank = int(_QUANTILE * part.size)
+            result[i] = _MEAN_OF_QUANTILE * float(np.partition(part, rank)[rank])
     known = np.flatnonzero(~np.isnan(result))
     return np.interp(np.arange(count), known, result[known]) if known.size else np.zeros(count)
