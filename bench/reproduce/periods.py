@@ -95,7 +95,9 @@ def wavering(seed: int) -> Judged:
     v, u = y / max(float(y.max()), PITCH_UM), x / float(x.max())
     heights += rng.uniform(0.0, 5.0) * u + rng.uniform(0.0, 5.0) * v
     if rng.random() < 0.3:
-        heights += rng.uniform(0.3, 3.0) * np.cos(2.0 * np.pi * (rng.uniform(0.3, 1.2) * u + rng.uniform(-1.0, 1.0) * v))
+        heights += rng.uniform(0.3, 3.0) * np.cos(
+            2.0 * np.pi * (rng.uniform(0.3, 1.2) * u + rng.uniform(-1.0, 1.0) * v)
+        )
     if rng.random() < 0.4:
         heights += rng.uniform(0.05, 0.5) * rng.normal(size=(shape[0], 1))
     if rng.random() < 0.4:

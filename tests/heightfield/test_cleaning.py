@@ -166,9 +166,7 @@ def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
 def test_each_step_stands_in_the_history(tmp_path: Path) -> None:
     field = gratings.fingers(size_um=12.8)
     assert field.history == ()
-    steps = (
-        field.cropped(6.4).levelled(2).despiked(2.5).filled().flipped("x").rotated(-1).resampled(0.1).periodic()
-    )
+    steps = field.cropped(6.4).levelled(2).despiked(2.5).filled().flipped("x").rotated(-1).resampled(0.1).periodic()
     words = ("Cropped to 6.4 × 6.4", "Levelled: .*degree 2", "Despiked with threshold=2.5 and size_um=1: replaced",
              "Filled: replaced 0 missing", "Flipped along x", "Rotated by 270°", "Resampled to a pitch of 0.1",
              "Made periodic: changed heights by")  # fmt: skip

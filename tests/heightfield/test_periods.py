@@ -93,13 +93,13 @@ def test_two_waves_of_similar_periods_are_two_and_a_wavering_one_is_one():
     heights = 0.1 * np.cos(2.0 * np.pi * X / 0.6) + 0.08 * np.cos(2.0 * np.pi * X / 0.9) + noise
     two = wd.HeightField(heights, PITCH).periods()
     assert sorted(period.period_um for period in two) == pytest.approx([0.6, 0.9], rel=0.01)
-    for depth in (0.3, 1.0, 2.4):
-        phase = 2.0 * np.pi * X / 0.9 + depth * np.sin(2.0 * np.pi * Y / 2.3 + 0.4)
-        (one,) = wd.HeightField(0.1 * np.cos(phase), PITCH).periods()
+    for depth, length in ((0.3, 2.3), (0.8, 2.3), (2.4, 5.0)):
+        phase = 2.0 * np.pi * X / 0.9 + depth * np.sin(2.0 * np.pi * Y / length + 0.4)
+        (one,) = wd.HeightField(0.1 * np.cos(phase) + noise, PITCH).periods()
         assert abs(one.period_um - 0.9) < max(2.0 * one.standard_error_um, 1e-3)
-        assert one.share > 0.6
+        assert one.share > 0.5
     # A change along the grooves, by which the period itself varies.
-    (chirp,) = wd.HeightField(0.1 * np.cos(2.0 * np.pi * (X / 0.9 + 0.02 * X**2)), PITCH).periods()
+    (chirp,) = wd.HeightField(0.1 * np.cos(2.0 * np.pi * (X / 0.9 + 0.02 * X**2)) + noise, PITCH).periods()
     assert not chirp.is_coherent
     assert abs(1.0 / chirp.period_um - (1.0 / 0.9 + 0.2)) < 0.02
     assert chirp.standard_error_um > 0.01

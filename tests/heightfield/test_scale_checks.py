@@ -81,7 +81,9 @@ def test_codes_for_missing_data_are_named(code: float, pitch: float) -> None:
 
 def test_numbers_beyond_all_heights_are_refused_as_codes() -> None:
     for code in (3.4e38, -3.4e38, 1e20):
-        with pytest.raises(ValueError, match=r"at 8 sample\(s\), probably a code for missing data: replace it with NaN"):
+        with pytest.raises(
+            ValueError, match=r"at 8 sample\(s\), probably a code for missing data: replace it with NaN"
+        ):
             wd.HeightField(np.where(np.eye(8) > 0, code, 0.1), 0.05)
 
 

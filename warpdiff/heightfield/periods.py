@@ -39,6 +39,8 @@ _RESOLUTION = 2.5
 _COHERENT = 0.5
 # Share of the rest of the band that a second sine must explain, to be another wave and not a part of a wavering one.
 _SECOND = 0.7
+# Power of a line on the other side of a wave, relative to its twin, from which both are its side lines.
+_TWIN = 0.25
 # Largest step and number of steps of the search for the centre of a band.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 # Lowest frequencies [cycles over the field] whose power gives a standard error: along an axis for coherent waves, in
@@ -163,9 +165,7 @@ class _Search:
         wavering: Frequencies of the other waves [cycles over the field].
     """
 
-    def __init__(
-        self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]
-    ) -> None:
+    def __init__(self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]) -> None:
         self.heights, self.known, self.sizes = heights, known, np.array(sizes)
         self.pitch = sizes[0] / heights.shape[0], sizes[1] / heights.shape[1]
         self.excluded = np.zeros(heights.shape, dtype=bool)
@@ -205,11 +205,12 @@ class _Search:
         after = rest.excess(line, band)
         has_strayed = _distance(cycles, peak) > 2.0
         close = [centre for centre, radius in self.bands if _distance(line.cycles, centre) <= radius]
-        if close and (
+        is_part = bool(close) and (
             has_strayed
             or before - after < _SECOND * before
             or min(_distance(cycles, centre) for centre in close) < _RESOLUTION + 1.5
-        ):
+        )
+        if is_part or self._is_side_line(spectrum, peak):
             self._exclude(line.cycles, _LEAST_BAND)
             return None, spectrum
         if not has_strayed and self._is_coherent(line, band, before, after, rest, residual, cycles):
@@ -221,6 +222,15 @@ class _Search:
         self._exclude_harmonics(wave.q * self.sizes, band)
         self.wavering.append(wave.q * self.sizes)
         return wave, spectrum
+
+    def _is_side_line(self, spectrum: WindowedSpectrum, cycles: NDArray[np.float64]) -> bool:
+        """Whether a line has a twin on the other side of a coherent wave, as a wave whose phase wavers has."""
+        power = spectrum.around(cycles)
+        return any(
+            _distance(cycles, centre) < float(np.hypot(*centre))
+            and spectrum.around(2.0 * centre - cycles) > _TWIN * power
+            for centre, _ in self.bands
+        )
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
         """Return the line of which a line is a harmonic, if it has more power."""

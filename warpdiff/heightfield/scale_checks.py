@@ -82,9 +82,7 @@ def warn_of_scale(heightfield: HeightField) -> None:
         return
     symptom = scale.symptom()
     if symptom:
-        warn(
-            f"{symptom}; {scale.remedy()}. If the scale is right, make the field with HeightField.of_known_scale()"
-        )
+        warn(f"{symptom}; {scale.remedy()}. If the scale is right, make the field with HeightField.of_known_scale()")
 
 
 def warn_of_grating(period_um: float, **depths_um: float) -> None:

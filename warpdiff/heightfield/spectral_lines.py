@@ -108,7 +108,8 @@ class WindowedSpectrum:
 
     def around(self, cycles: NDArray[np.float64]) -> float:
         """Power within the main lobe around a frequency."""
-        return float(np.sum(self.power[self._main_lobe(self._place(cycles))]))
+        place = self._place(cycles)
+        return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
 
     def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
         """Return the narrow line at a frequency, or None; it need not be significant among all frequencies."""
@@ -175,10 +176,12 @@ class WindowedSpectrum:
         result = by_ring[ring]
         if not is_plane:
             return np.maximum(result, 1e-300)
-        by_sector = np.stack([
-            _ring_background(power[sectors == s], rings[sectors == s], count, reach=_RINGS // 2)
-            for s in range(_SECTORS)
-        ])
+        by_sector = np.stack(
+            [
+                _ring_background(power[sectors == s], rings[sectors == s], count, reach=_RINGS // 2)
+                for s in range(_SECTORS)
+            ]
+        )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
             for offset in (-1, 0, 1):
@@ -256,8 +259,10 @@ class WindowedSpectrum:
     def _of_same_direction(
         self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
     ) -> tuple[list[float], list[float], int]:
-        """Return the background at lower and at higher frequencies of the same direction, their distances from the zero
-        frequency relative to that of the line, and the number of their coefficients, 0 if there are no lower ones.
+        """Return the background at lower and at higher frequencies of the same direction.
+
+        Also return their distances from the zero frequency relative to that of the line, and the number of their
+        coefficients, 0 if there are no lower ones.
         """
         vector = cycles / sizes
         length = float(np.hypot(*vector))
@@ -302,10 +307,10 @@ class WindowedSpectrum:
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
-        """Return the smallest power of a maximum relative to the rest of a straight line through it, and the numbers of
-        independent coefficients of both.
+        """Return the smallest power of a maximum relative to the rest of a straight line through it.
 
-        Grinding marks and steps between scan lines make ridges in the spectrum, which noise covers with maxima.
+        Also return the numbers of independent coefficients of both. Grinding marks and steps between scan lines make
+        ridges in the spectrum, which noise covers with maxima.
         """
         core = 0.5 * (width - 1) + _MAIN_LOBE
         reach = int(core + max(9, width // 2))
@@ -350,8 +355,9 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
 def _ring_background(
     power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
 ) -> NDArray[np.float64]:
-    """Estimate the mean power of each ring from a quantile over ``reach`` rings on both sides; rings without any
-    coefficient take interpolated values.
+    """Estimate the mean power of each ring from a quantile over ``reach`` rings on both sides.
+
+    Rings without any coefficient take interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))
