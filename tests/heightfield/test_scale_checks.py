@@ -81,9 +81,7 @@ def test_codes_for_missing_data_are_named(code: float, pitch: float) -> None:
 
 def test_numbers_beyond_all_heights_are_refused_as_codes() -> None:
     for code in (3.4e38, -3.4e38, 1e20):
-        with pytest.raises(
-            ValueError, match=r"at 8 sample\(s\), probably a code for missing data: replace it with NaN"
-        ):
+        with pytest.raises(ValueError, match=r"at 8 sample\(s\), probably a code for missing data: replace"):
             wd.HeightField(np.where(np.eye(8) > 0, code, 0.1), 0.05)
 
 
@@ -138,7 +136,7 @@ def test_gratings_in_other_units_are_warned_of(make, words: str) -> None:
 def test_a_large_relief_is_refused_by_its_limit_and_evaluated_directly() -> None:
     x = np.arange(400) * 0.1
     echelle = wd.HeightField((2.0 * (x % 20.0))[None], 0.1)
-    words = r"series and energy factors support at most 100, a range of \d+ µm: .*levelled\(\) .*method='direct'"
+    words = r"series and energy factors support at most 100, a range of \S+ µm: .*levelled\(\) .*method='direct'"
     with pytest.raises(ValueError, match=words) as refused:
         wd.reflectance(echelle, (0, 0, 1), (0, 0, 1))
     assert "unit" not in str(refused.value)

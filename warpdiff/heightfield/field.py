@@ -210,8 +210,8 @@ class HeightField:
         """Steps that made the field from the original one, in their order, as sentences; pictures store them.
 
         Examples:
-            >>> patch = wd.gratings.fingers(size_um=12.8).cropped(6.4).levelled()
-            >>> print("\\n".join(patch.history))
+            >>> for step in wd.gratings.fingers(size_um=12.8).cropped(6.4).levelled().history:
+            ...     print(step)
             Cropped to 6.4 × 6.4 µm (y × x) from (3.2, 3.2) µm.
             Levelled: subtracted a polynomial of degree 1, which changed the range from 0.273 to 0.271 µm.
         """

@@ -61,8 +61,8 @@ def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
     beyond = (heights > most) | (heights < -most)
     if count := int(np.count_nonzero(beyond)):
         raise ArgumentValueError(
-            f"{ref('heights_um')} must lie within ±{most:g}, got {heights[beyond][0]:g} at {count} sample(s), probably a "
-            "code for missing data: replace it with NaN"
+            f"{ref('heights_um')} must lie within ±{most:g}, got {heights[beyond][0]:g} at {count} sample(s), probably "
+            "a code for missing data: replace it with NaN"
         )
 
 
@@ -165,23 +165,22 @@ class _Scale:
 
     def symptom(self) -> str:
         """Return what is unusual, in words; an empty string if nothing is."""
-        if self.pitch[0] < _ATOM_UM:
-            return f"{ref('pitch_um')} of {self.pitch[0]:.2g} µm is less than an atom"
-        if self.height < _ATOM_UM:
-            return f"{ref('heights_um')} has a range of {self.height:.2g} µm, less than an atom"
-        if self.pitch[1] > _MOST_PITCH_UM:
-            return f"{ref('pitch_um')} of {self.pitch[1]:.4g} µm is too coarse for the diffraction of light"
-        if self.slope > _TOO_STEEP or min(self.slope, self.median_slope) > _STEEP:
-            if self.height > self.size:
-                return (
-                    f"{ref('heights_um')} has a range of {self.height:.4g} µm, more than the size of {self.size:.4g} µm"
-                )
-            return f"{ref('heights_um')} has a mean slope of {self.slope:.3g}"
-        if self.size < _LEAST_SIZE_UM and self._proposal() is not None:
-            return f"the field has a size of {self.size:.2g} µm, less than half a wavelength"
-        if self.height < _SUSPICIOUS_RANGE_UM and self.slope < _SUSPICIOUS_SLOPE and self._proposal() is not None:
-            return f"{ref('heights_um')} has a range of {self.height:.2g} µm, hardly more than an atom"
-        return ""
+        is_steep = self.slope > _TOO_STEEP or min(self.slope, self.median_slope) > _STEEP
+        proposed = self._proposal() is not None
+        symptoms = (
+            (self.pitch[0] < _ATOM_UM, f"{ref('pitch_um')} of {self.pitch[0]:.2g} µm is less than an atom"),
+            (self.height < _ATOM_UM, f"{ref('heights_um')} has a range of {self.height:.2g} µm, less than an atom"),
+            (self.pitch[1] > _MOST_PITCH_UM,
+             f"{ref('pitch_um')} of {self.pitch[1]:.4g} µm is too coarse for the diffraction of light"),
+            (is_steep and self.height > self.size,
+             f"{ref('heights_um')} has a range of {self.height:.4g} µm, more than the size of {self.size:.4g} µm"),
+            (is_steep, f"{ref('heights_um')} has a mean slope of {self.slope:.3g}"),
+            (proposed and self.size < _LEAST_SIZE_UM,
+             f"the field has a size of {self.size:.2g} µm, less than half a wavelength"),
+            (proposed and self.height < _SUSPICIOUS_RANGE_UM and self.slope < _SUSPICIOUS_SLOPE,
+             f"{ref('heights_um')} has a range of {self.height:.2g} µm, hardly more than an atom"),
+        )  # fmt: skip
+        return next((words for is_unusual, words in symptoms if is_unusual), "")
 
     def remedy(self) -> str:
         """Return the question and the factor for the units that heights and pitch probably have."""
