@@ -62,7 +62,7 @@ SUMMARY_NUMBERS = (
     "missing",
 )  # fmt: skip
 PERIOD_NUMBERS = (
-    "period_um", "standard_error_um", "direction_deg", "harmonics_um", "share", "frequency", "is_waviness",
+    "period_um", "standard_error_um", "direction_deg", "harmonics_um", "share", "frequency", "is_coherent",
 )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Cleaning of height fields: levelling, resampling, periodic part, despiking, and the measured scan."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +148,46 @@ def test_despiking_removes_a_grain_and_nothing_else() -> None:
     np.testing.assert_array_equal(result.heights_um[~changed], dirty.heights_um[~changed])
 
 
+@pytest.mark.parametrize("pitch", [0.1, 0.5, 1.0, (0.2, 1.0)])
+def test_despiking_replaces_by_heights_of_the_surroundings_at_every_pitch(pitch) -> None:
+    heights = 0.02 * np.random.default_rng(1).normal(size=(96, 96))
+    rough = np.ptp(heights)
+    heights[40:44, 60:64] += 1.0
+    clean = HeightField.of_known_scale(heights, pitch).despiked()
+    assert np.ptp(clean.heights_um) <= rough
+    assert (clean.heights_um != heights)[40:44, 60:64].all()
+
+
+@pytest.mark.parametrize(("pitch", "size"), [(2.0, 1.0), ((0.1, 20.0), 1.0), (0.1, 0.05)])
+def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
+    field = HeightField.of_known_scale(np.random.default_rng(1).normal(size=(30, 40)), pitch)
+    with pytest.raises(ValueError, match=r"size_um must be at least the pitch of \S+ µm, got .*give size_um="):
+        field.despiked(size_um=size)
+    # An axis of one sample has no pitch.
+    HeightField.of_known_scale(field.heights_um[:1], (1e3, 0.1)).despiked()
+
+
+def test_each_step_stands_in_the_history(tmp_path: Path) -> None:
+    field = gratings.fingers(size_um=12.8)
+    assert field.history == ()
+    steps = field.cropped(6.4).levelled(2).despiked(2.5).filled().flipped("x").rotated(-1).resampled(0.1).periodic()
+    words = ("Cropped to 6.4 × 6.4", "Levelled: .*degree 2", "Despiked with threshold=2.5 and size_um=1: replaced",
+             "Filled: replaced 0 missing", "Flipped along x", "Rotated by 270°", "Resampled to a pitch of 0.1",
+             "Made periodic: changed heights by")  # fmt: skip
+    assert len(steps.history) == len(words)
+    for step, word in zip(steps.history, words, strict=True):
+        assert re.match(word, step)
+        assert step.endswith(".")
+    # A step changes no other field.
+    assert len(steps.levelled().history) == len(words) + 1
+    assert len(steps.history) == len(words)
+    with np.load(steps.save(tmp_path / "a.npz")) as arrays:
+        assert tuple(arrays["history"].tolist()) == steps.history
+    x = 0.05 * np.arange(300)
+    waves = HeightField(0.1 * np.cos(2.0 * np.pi * x / 1.7)[None], 0.05).whole_periods()
+    assert re.match(r"Cut to .* whole periods of 1\.70\d+ ± ", waves.history[-1])
+
+
 # In the scan's image file, pixel values from 0 to 255 represent heights from 0 to 0.375 µm.
 def test_real_scan_is_cleaned(scan_path: Path) -> None:
     scan = HeightField.load(scan_path, extent_um=65.0, height_range_um=0.375)
@@ -158,7 +199,9 @@ def test_real_scan_is_cleaned(scan_path: Path) -> None:
     assert all(changed[y, x] for y, x in ((90, 823), (717, 525), (1240, 232)))
     assert 0.003 < np.mean(changed) < 0.012
     assert clean.height_range_um < 0.87 * level.height_range_um
-    assert min(period.period_um for period in clean.periods()) == pytest.approx(1.14, abs=0.01)
+    (fingers,) = clean.periods(1)
+    assert fingers.period_um == pytest.approx(1.07, abs=0.03)
+    assert 0.01 < fingers.standard_error_um < 0.06
     whole = clean.periodic()
     seam = np.abs(whole.heights_um[0] - whole.heights_um[-1]).mean()
     assert seam < 2.0 * np.abs(np.diff(whole.heights_um, axis=0)).mean()

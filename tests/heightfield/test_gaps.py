@@ -103,7 +103,7 @@ def test_large_gaps_are_filled_in_as_few_steps_as_small_ones(name: str, pitch, m
     # Conjugate gradients need at most 40 steps. Without the multigrid preconditioner they would need more than 1000.
     monkeypatch.setattr(inpainting, "_MOST_STEPS", 40)
     heights = np.where(GAPS[name], np.nan, 0.01 * rng.standard_normal(GAPS[name].shape))
-    filled = wd.HeightField(heights, pitch).filled().heights_um
+    filled = wd.HeightField.of_known_scale(heights, pitch).filled().heights_um
     padded = np.pad(filled, 1, mode="edge")
     beside = [padded[2:, 1:-1] + padded[:-2, 1:-1], padded[1:-1, 2:] + padded[1:-1, :-2]]
     weights = [(min(pitch) / distance) ** 2 for distance in pitch]
@@ -145,7 +145,8 @@ def test_despiking_and_making_periodic_preserve_gaps() -> None:
     at_edge = gappy(waves(), X > 4.3).periodic()
     np.testing.assert_array_equal(at_edge.missing, X > 4.3)
     np.testing.assert_array_equal(gappy(waves()).cropped((2.0, 2.4)).missing, GAP[15:35, 15:45])
-    assert gappy(waves()).periods(1)
+    (period,) = gappy(0.05 * waves() + 0.04 * np.sin(2.0 * np.pi * X / 0.7)).periods()
+    assert period.period_um == pytest.approx(0.7, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_an_extent_may_be_a_pair(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("make", [
     lambda: noise((5, 7), (0.1 / 3.0, 0.7)),
-    lambda: HeightField([[1.0 / 3.0, np.nan, -0.0]], math.pi),
+    lambda: HeightField([[1.0 / 3.0, np.nan, -0.0]], math.pi / 3.0),
     lambda: HeightField.of_known_scale(noise((3, 4)).heights_um * 1e-9, 1e-7),
     lambda: noise((5, 7)).rotated(),
 ], ids=["noise", "gap", "another scale", "rotated"])  # fmt: skip

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Limit on the number of terms of a series. With 128 terms, series represent about 30 cycles of phase. The memory of a
 # table of coefficients is proportional to this number.
 MAX_TERMS = 128
-# Limit on the cycles of phase over the height range. Heights with more cycles probably have the wrong unit.
+# Limit on the cycles of phase over the height range. Tables for more cycles are very large.
 _MOST_CYCLES = 100.0
 # Limit on exponents in the bounds of a Taylor series: e^710 overflows float64.
 _LARGEST_EXPONENT = 700.0
@@ -35,14 +35,15 @@ _LARGEST_EXPONENT = 700.0
 def check_cycles(heightfield: HeightField, kappa: float) -> None:
     """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa`` [1/µm].
 
-    Such a range suggests heights in another unit than µm, and would require very large tables.
+    The direct sum has no such limit.
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
         raise ArgumentValueError(
             f"{ref('heightfield')} has a height range of {heightfield.height_range_um:.3g} µm, which is {cycles:.2g} "
-            f"wavelengths of path, and at most {_MOST_CYCLES:g} are supported: heights are in µm, check "
-            f"{ref('height_range_um')} or the unit of the heights"
+            f"wavelengths of path; series and energy factors support at most {_MOST_CYCLES:g}, a range of "
+            f"{_MOST_CYCLES / kappa:.3g} µm: reduce the range with {ref('levelled()')} or {ref('cropped()')}, or use "
+            f"{ref('method', 'direct')} with {ref('energy', 'stam')}, which has no such limit"
         )
 
 

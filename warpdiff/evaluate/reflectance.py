@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Unpack, cast
 
 import numpy as np
@@ -195,6 +196,7 @@ def reflectance_map(
     error[mask] = relative_errors(call.plan.error * lengths(xyz[mask]), xyz[mask])
     tolerance = call.plan.tolerance
     report = report_of(error, mask, None, tolerance=tolerance, refined_share=0.0, light_sample_count=1)
+    report = replace(report, history=heightfield.history)
     return Image(xyz=xyz, mask=mask, illuminated=mask, coverage=coverage, error=error, plan=call.plan, report=report)
 
 

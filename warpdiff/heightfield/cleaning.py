@@ -59,6 +59,12 @@ def despike(
     """Replace elevations that stand out from the surface, see `HeightField.despiked`."""
     from scipy import ndimage
 
+    coarsest = max((pitch for n, pitch in zip(measured.shape, pitch_um, strict=True) if n > 1), default=0.0)
+    if size_um < coarsest:
+        raise ArgumentValueError(
+            f"{ref('size_um')} must be at least the pitch of {coarsest:.4g} µm, got {size_um:.4g}: the background is "
+            f"an average over neighbouring samples; give {ref('size_um', float(f'{2.0 * coarsest:.3g}'))} or more"
+        )
     heights = np.where(missing, 0.0, measured)
     spikes = np.zeros(heights.shape, dtype=bool)
     for _ in range(3):
@@ -87,12 +93,19 @@ def despike(
         # Where a fine scale has nearly no weight, the value of the coarser scale remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
+    if known.any():
+        # Weighted means lie within the heights around them, but for the rounding of the transforms.
+        filled = np.clip(filled, np.min(heights[known]), np.max(heights[known]))
     return np.where(spikes, filled, measured)
 
 
 @np.errstate(under="ignore")
 def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_um: float) -> NDArray[np.float64]:
-    """Convolve ``values`` (ny, nx) with a Gaussian; values outside the field are zero."""
+    """Convolve ``values`` (ny, nx) with a Gaussian; values outside the field are zero.
+
+    The kernel is sampled in space. It is positive at every pitch, whereas a Gaussian transfer function becomes a sinc
+    with negative lobes where the pitch is coarse.
+    """
     from scipy import fft
 
     # Padding by four standard deviations prevents circular wrap-around.
@@ -100,13 +113,14 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
         1 if n == 1 else fft.next_fast_len(n + math.ceil(min(4.0 * spread_um / pitch, n)), real=True)
         for n, pitch in zip(values.shape, pitch_um, strict=True)
     )
-    factors = [
-        np.exp(-2.0 * (np.pi * spread_um * frequencies(n, pitch)) ** 2)
-        for n, pitch, frequencies in zip(padded, pitch_um, (np.fft.fftfreq, np.fft.rfftfreq), strict=True)
+    kernels = [
+        np.exp(-0.5 * (np.fft.fftfreq(n, 1.0 / n) * pitch / spread_um) ** 2)
+        for n, pitch in zip(padded, pitch_um, strict=True)
     ]
     spectrum = np.fft.rfft2(values, padded)
-    spectrum *= factors[0][:, None]
-    spectrum *= factors[1]
+    # A symmetric kernel has a real transform.
+    spectrum *= np.fft.fft(kernels[0]).real[:, None] / np.sum(kernels[0])
+    spectrum *= np.fft.rfft(kernels[1]).real / np.sum(kernels[1])
     return np.fft.irfft2(spectrum, padded)[: values.shape[0], : values.shape[1]]
 
 
@@ -131,8 +145,8 @@ def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def crop(
     heights: NDArray[np.float64], pitch_um: tuple[float, float], size_um: object, offset_um: object
-) -> NDArray[np.float64]:
-    """Return a view of a rectangle, see `HeightField.cropped`."""
+) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Return a view of a rectangle, and its first row and column, see `HeightField.cropped`."""
     size = validation.pair(size_um, "size_um")
     if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
         raise ArgumentValueError(f"{ref('offset_um')} must be a pair (y, x) or None, got {offset_um!r}")
@@ -156,7 +170,7 @@ def crop(
                 f"got {first * pitch:.6g}"
             )
         slices.append(slice(first, first + count))
-    return heights[slices[0], slices[1]]
+    return heights[slices[0], slices[1]], (slices[0].start, slices[1].start)
 
 
 def resample(

@@ -1,4 +1,4 @@
-"""Diagnostics of a height field: summary, units and aliasing."""
+"""Diagnostics of a height field: summary and aliasing."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ref
 from warpdiff.heightfield.theory_verdict import verdict_on
 from warpdiff.optics.colorimetry import LAMBDA_MIN_NM
 
@@ -25,17 +23,6 @@ if TYPE_CHECKING:
 # Limits on the periods of a summary: relative standard error, and share of the variance. Doubled values list periods
 # that are less certain, or fewer periods.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
-
-# Height range [µm] below which a field gets a warning: the size of an atom.
-LEAST_RANGE_UM = 1e-4
-# Height range, relative to the largest height, that counts as rounding of a flat field; it gets no warning.
-_ROUNDING = 1e-12
-# Mean absolute slope above which a field gets a warning; real surfaces are less steep.
-MOST_SLOPE = 5.0
-# Units in µm, and a typical height range, largest plausible height range, and typical pitch [µm]. The warning proposes
-# the unit that brings a length nearest to its typical value.
-_UNITS = {"metres": 1e6, "millimetres": 1e3, "nanometres": 1e-3, "ångströms": 1e-4}
-_TYPICAL_RANGE_UM, _MOST_RANGE_UM, _TYPICAL_PITCH_UM = 0.3, 20.0, 0.05
 
 # Value of |κ| at which aliasing is estimated [1/µm]: normal incidence and view at 380 nm.
 _KAPPA = 2.0 / 0.38
@@ -118,8 +105,7 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
         periods=tuple(
             period
             for period in heightfield.periods()
-            if not period.is_waviness
-            and period.standard_error_um <= _MOST_STANDARD_ERROR * period.period_um
+            if period.standard_error_um <= _MOST_STANDARD_ERROR * period.period_um
             and period.share >= _LEAST_SHARE
         ),
         max_uv=1e-3 * LAMBDA_MIN_NM / (2.0 * pitch) if pitch else math.inf,
@@ -161,43 +147,6 @@ def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -
         known = slopes[~np.isnan(slopes)]
         total, count = total + float(np.sum(known)), count + known.size
     return total / count if count else 0.0
-
-
-def warn_of_scale(heightfield: HeightField) -> None:
-    """Warn about a scale that no diffracting surface has, probably because of a wrong unit."""
-    height = heightfield.height_range_um
-    extents = [size for size, n in zip(heightfield.size_um, heightfield.shape, strict=True) if n > 1]
-    if height <= _ROUNDING * max(float(np.nanmax(np.abs(heightfield.heights_um))), 1.0) or not extents:
-        return
-    size = max(extents)
-    if height < LEAST_RANGE_UM:
-        symptom = f"has a range of {height:.2g} µm, less than an atom"
-    elif height > size:
-        symptom = f"has a range of {height:.4g} µm, more than the size of {size:.4g} µm"
-    elif height > MOST_SLOPE * min(heightfield.pitch_um) and heightfield.mean_slope > MOST_SLOPE:
-        symptom = f"has a mean slope of {heightfield.mean_slope:.3g}"
-    else:
-        return
-    warn(
-        f"{ref('heights_um')} {symptom}; {_likely_unit(heightfield)}. If the scale is right, make the field with "
-        "HeightField.of_known_scale()"
-    )
-
-
-def _likely_unit(heightfield: HeightField) -> str:
-    """Question and remedy for the unit in which heights or pitch probably are."""
-    pitch = max(heightfield.pitch_um)
-    heights = heightfield.height_range_um
-    if LEAST_RANGE_UM <= heights <= _MOST_RANGE_UM and pitch < LEAST_RANGE_UM:
-        return f"is the pitch in {_nearest_unit(pitch, _TYPICAL_PITCH_UM)}? It must be in µm"
-    unit = _nearest_unit(heights, _TYPICAL_RANGE_UM)
-    as_well = ", and the pitch as well" if pitch < LEAST_RANGE_UM else ""
-    return f"are heights in {unit}{as_well}? Multiply them by {_UNITS[unit]:g}"
-
-
-def _nearest_unit(value: float, typical: float) -> str:
-    """Unit in which a value is nearest to a typical one [µm]."""
-    return min(_UNITS, key=lambda name: abs(math.log(value * _UNITS[name] / typical)))
 
 
 def coarsest_pitch_um(heightfield: HeightField) -> float:

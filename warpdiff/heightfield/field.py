@@ -13,7 +13,7 @@ import numpy as np
 from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods
+from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, scale_checks
 from warpdiff.heightfield.readers import reader_registry, topography_reader
 
 if TYPE_CHECKING:
@@ -49,8 +49,9 @@ class HeightField:
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
     Warns:
-        WarpdiffWarning: No diffracting surface has this scale, which suggests a wrong unit: a height range below 0.1 nm
-            (but not 0) or above the size, or a mean slope above 5.
+        WarpdiffWarning: Heights contain a code for missing data, such as −9999. Or no diffracting surface has this
+            scale, which suggests a wrong unit: a pitch or a height range below 0.1 nm, a pitch above 2 µm, a size below
+            half a wavelength, or a mean slope above 10. The message names the probable unit and its factor.
 
     Raises:
         TypeError: An argument is not numeric.
@@ -67,7 +68,7 @@ class HeightField:
 
     def __init__(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
         self._set(heights_um, pitch_um)
-        diagnostics.warn_of_scale(self)
+        scale_checks.warn_of_scale(self)
 
     @classmethod
     def of_known_scale(cls, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> HeightField:
@@ -94,7 +95,8 @@ class HeightField:
                 f"{ref('heights_um')} of {ny} × {nx} samples",
                 f"take {{share}} of the area, or a larger {ref('pitch_um')}",
             )
-        heights = validation.finite_array(heights_um, "heights_um", ndim=2, gaps=True, most=validation.MOST)
+        heights = validation.finite_array(heights_um, "heights_um", ndim=2, gaps=True)
+        scale_checks.check_magnitude(heights, validation.MOST)
         if heights.size == 0:
             raise ArgumentValueError(f"{ref('heights_um')} must have at least one sample, got shape {heights.shape}")
         missing = np.isnan(heights)
@@ -110,6 +112,7 @@ class HeightField:
         self._height_range_um = float(np.nanmax(heights) - np.nanmin(heights))
         self._pitch_um = validation.pair(pitch_um, "pitch_um")
         self._source: Source | None = None
+        self._history: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -239,8 +242,8 @@ class HeightField:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the height field to a NumPy ``.npz`` file, which :meth:`load` restores exactly.
 
-        The file contains the arrays ``heights_um`` (NaN where a sample is missing) and ``pitch_um`` (dy, dx). An
-        existing file is replaced only once the new one is complete.
+        The file contains the arrays ``heights_um`` (NaN where a sample is missing), ``pitch_um`` (dy, dx), and
+        ``history``. An existing file is replaced only once the new one is complete.
 
         Args:
             path: File to write; its name ends in ``.npz``.
@@ -258,7 +261,9 @@ class HeightField:
             >>> wd.HeightField.load(path).shape
             (50, 25)
         """
-        return files.save_arrays(path, {"heights_um": self._heights_um, "pitch_um": self._pitch_um}, compressed=False)
+        history = np.array(self._history, dtype=np.str_)
+        arrays = {"heights_um": self._heights_um, "pitch_um": self._pitch_um, "history": history}
+        return files.save_arrays(path, arrays, compressed=False)
 
     @property
     def heights_um(self) -> NDArray[np.float64]:
@@ -293,6 +298,18 @@ class HeightField:
     def size_um(self) -> tuple[float, float]:
         """Extent (Ly, Lx) [µm]: samples times pitch, which is one period of a periodic field."""
         return self.shape[0] * self.pitch_um[0], self.shape[1] * self.pitch_um[1]
+
+    @property
+    def history(self) -> tuple[str, ...]:
+        """Steps that made the field from the original one, in their order, as sentences; pictures store them.
+
+        Examples:
+            >>> for step in wd.gratings.fingers(size_um=12.8).cropped(6.4).levelled().history:
+            ...     print(step)
+            Cropped to 6.4 × 6.4 µm (y × x) from (3.2, 3.2) µm.
+            Levelled: subtracted a polynomial of degree 1, which changed the range from 0.273 to 0.271 µm.
+        """
+        return self._history
 
     @property
     def height_range_um(self) -> float:
@@ -346,7 +363,8 @@ class HeightField:
             f"{ref('filled()')} of {self._missing_count} missing samples",
             f"take {{share}} of the field, by {ref('cropped()')}, or a coarser pitch",
         )
-        return self._with_heights(inpainting.harmonic(self._heights_um, self.pitch_um))
+        result = self._with_heights(inpainting.harmonic(self._heights_um, self.pitch_um))
+        return result._after(self, f"Filled: replaced {self._missing_count} missing samples by a harmonic surface.")
 
     def levelled(self, order: int = 1) -> HeightField:
         """Subtract the least-squares polynomial of total degree ``order``: tilt (1), bow (2), or the mean alone (0).
@@ -366,7 +384,12 @@ class HeightField:
         """
         order = validation.count(order, "order", least=0)
         cleaning.require_memory("levelled", self.shape)
-        return self._with_heights(cleaning.level(self._heights_um, self._missing, order))
+        result = self._with_heights(cleaning.level(self._heights_um, self._missing, order))
+        return result._after(
+            self,
+            f"Levelled: subtracted a polynomial of degree {order}, which changed the range from "
+            f"{self.height_range_um:.3g} to {result.height_range_um:.3g} µm.",
+        )
 
     def despiked(self, threshold: float = 3.0, *, size_um: float = 1.0) -> HeightField:
         """Remove dust grains and bright scratches: replace elevations that stand out from their surroundings.
@@ -386,14 +409,14 @@ class HeightField:
 
         Args:
             threshold: Score above which a sample is a spike, more than 0, default 3.
-            size_um: Standard deviation of the background [µm], more than 0, default 1; about the distance of the
+            size_um: Standard deviation of the background [µm], at least the pitch, default 1; about the distance of the
                 features of the surface.
 
         Returns:
             The cleaned field, of the same shape; unchanged if nothing stands out.
 
         Raises:
-            ValueError: An argument is not positive.
+            ValueError: An argument is not positive, or ``size_um`` is smaller than the pitch.
 
         Examples:
             >>> heights = wd.gratings.fingers(size_um=6.4).heights_um.copy()
@@ -404,8 +427,14 @@ class HeightField:
         threshold = validation.positive(threshold, "threshold")
         size = validation.positive(size_um, "size_um")
         cleaning.require_memory("despiked", self.shape)
-        return self._with_heights(
+        result = self._with_heights(
             cleaning.despike(self._heights_um, self._missing, self.pitch_um, threshold=threshold, size_um=size)
+        )
+        replaced = np.count_nonzero((result._heights_um != self._heights_um) & ~self._missing)
+        return result._after(
+            self,
+            f"Despiked with threshold={threshold:g} and size_um={size:g}: replaced {replaced} samples "
+            f"({100.0 * replaced / self._heights_um.size:.2g} %).",
         )
 
     def cropped(
@@ -427,7 +456,10 @@ class HeightField:
             >>> wd.gratings.fingers(size_um=12.8).cropped(6.4, offset_um=(0.0, 0.0)).shape
             (128, 128)
         """
-        return self._with_heights(cleaning.crop(self._heights_um, self.pitch_um, size_um, offset_um))
+        heights, first = cleaning.crop(self._heights_um, self.pitch_um, size_um, offset_um)
+        result = self._with_heights(heights)
+        (ly, lx), (y, x) = result.size_um, (start * pitch for start, pitch in zip(first, self.pitch_um, strict=True))
+        return result._after(self, f"Cropped to {ly:.4g} × {lx:.4g} µm (y × x) from ({y:.4g}, {x:.4g}) µm.")
 
     def flipped(self, axis: Axis) -> HeightField:
         """Mirror the field by reversing the order of its samples along one axis.
@@ -443,7 +475,8 @@ class HeightField:
             array([[0.2, 0.1, 0. ]])
         """
         axis = validation.choice(axis, "axis", get_args(Axis))
-        return HeightField.of_known_scale(np.flip(self._heights_um, "yx".index(axis)), self.pitch_um)
+        result = HeightField.of_known_scale(np.flip(self._heights_um, "yx".index(axis)), self.pitch_um)
+        return result._after(self, f"Flipped along {axis}.")
 
     def rotated(self, quarter_turns: int = 1) -> HeightField:
         """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
@@ -463,7 +496,8 @@ class HeightField:
         turns = validation.count(quarter_turns, "quarter_turns", least=-validation.MOST_COUNT) % 4
         pitch = self.pitch_um[::-1] if turns % 2 else self.pitch_um
         # The row index increases with y, but NumPy rotates as if it increased downwards.
-        return HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
+        result = HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
+        return result._after(self, f"Rotated by {90 * turns}° counter-clockwise.")
 
     def resampled(self, pitch_um: float | tuple[float, float]) -> HeightField:
         """Resample to another pitch by a Fourier series, as one period of a periodic surface.
@@ -486,7 +520,9 @@ class HeightField:
         check_whole(self)
         field = HeightField.of_known_scale(*cleaning.resample(self._heights_um, self.pitch_um, pitch))
         field._source = self._source
-        return field
+        return field._after(
+            self, f"Resampled to a pitch of {field.pitch_um[0]:.4g} × {field.pitch_um[1]:.4g} µm (y × x)."
+        )
 
     def periodic(self) -> HeightField:
         """Make opposite edges match, which removes the bright cross along the axes of the spectrum.
@@ -514,6 +550,7 @@ class HeightField:
         smooth = cleaning.smooth_part(self.filled().heights_um)
         result = self._with_heights(self._heights_um - smooth)
         change = float(np.sqrt(np.mean(smooth[~self.missing] ** 2)))
+        result = result._after(self, f"Made periodic: changed heights by {change:.3g} µm (root mean square).")
         if change > _MOST_CHANGE * self.rms_um:
             warn(
                 f"{ref('periodic()')} changed heights by {change:.3g} µm (root mean square), "
@@ -542,21 +579,28 @@ class HeightField:
             14.0
         """
         cleaning.require_memory("whole_periods", self.shape)
-        return periods.cut_whole(self)
+        result, period = periods.cut_whole(self)
+        (ly, lx) = result.size_um
+        return result._after(self, f"Cut to {ly:.4g} × {lx:.4g} µm (y × x), whole periods of {period}.")
 
     def periods(self, count: int = 3) -> tuple[periods.Period, ...]:
-        """Fit the strongest periods: waves of any length and direction with their harmonics, by least squares.
+        """Find the strongest periods: waves of any direction that repeat at least three times, with their harmonics.
 
-        Waves are fitted one after the other; each is fitted with a tilt to the residual of the previous ones. Missing
-        samples have no weight. A length is much more precise than the resolution of the Fourier transform, and has a
-        standard error. A field of a single period, as `gratings` make it, repeats nothing: its wave is waviness.
+        A period is a line of the spectrum that noise reaches with a probability of less than 0.5 %. Its power must
+        exceed the spectrum at lower and at higher frequencies of the same direction, so that it is found below waviness
+        and tilt, while rough surfaces of any correlation have none. A wave whose phase wavers has one period, at its
+        mean frequency. Missing samples have no weight.
+
+        A length is much more precise than the resolution of the Fourier transform. Its standard error includes noise,
+        steps between scan lines, and the variation of the period over the field. A field of a single period, as
+        `gratings` make it, repeats nothing and has none.
 
         Args:
             count: Largest number of periods, at least 1, default 3. Waves that explain less than 0.1 % of the variance
                 are excluded.
 
         Returns:
-            Periods, sorted by the variance that they explain; empty for a flat field.
+            Periods, sorted by the variance that they explain; empty if nothing repeats.
 
         Raises:
             ValueError: ``count`` is less than 1.
@@ -584,6 +628,11 @@ class HeightField:
         field = HeightField.of_known_scale(heights, self.pitch_um)
         field._source = self._source
         return field
+
+    def _after(self, origin: HeightField, step: str) -> HeightField:
+        """Set the history of a new field: that of the field it was made from, and one step; return the field."""
+        self._history = (*origin._history, step)
+        return self
 
 
 def check_whole(heightfield: HeightField) -> None:

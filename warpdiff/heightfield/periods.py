@@ -1,4 +1,4 @@
-"""Periods of a height field by harmonic fits: waves of any frequency, fitted to the known samples."""
+"""Periods of a height field: lines of its spectrum, their mean frequency, and its standard error."""
 
 from __future__ import annotations
 
@@ -10,56 +10,67 @@ import numpy as np
 
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.heightfield import cleaning
+from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, MOST_HARMONICS, HarmonicFit, fit_sine, fit_wave
+from warpdiff.heightfield.spectral_lines import Line, WindowedSpectrum
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
 
-# Fewest cycles of a wave over the field that are searched for.
-_LEAST_CYCLES = 0.5
-# Waves with fewer cycles over the field count as waviness, because they may belong to the form of the surface.
-FEWEST_PERIODS = 3.0
-# Limit on the number of harmonics of a wave.
-_MOST_HARMONICS = 16
-# Largest frequency of a harmonic relative to the Nyquist limit, at which a sine may vanish on all samples.
-_OF_NYQUIST = 0.9
-# Samples per period of the shortest harmonic; more are averaged over blocks, which saves time. With two, harmonics
-# alias.
-_SAMPLES_PER_PERIOD = 4
-# Limit on the number of elements of the matrix of a fit, which limits time and memory.
-_MOST_ELEMENTS = 4_000_000
-# Largest number of samples of a field for which the first guess comes from a transform padded four times; others are
-# padded twice.
-_MOST_FINER = 2**18
-# Correction of the variance of a frequency for strong noise, relative to the ratio of noise to signal, as measured.
-_NOISE_CORRECTION = 24.0
-# Smallest significant amplitude of a harmonic, in standard deviations of the amplitude of noise.
-_OVER_NOISE = 4.0
-# Limit on the steps of a fit.
-_MOST_STEPS = 12
-# Change of frequency [cycles over the field] that ends a fit.
-_CONVERGED = 1e-6
 # Share of the variance below which a wave is not reported.
 _LEAST_SHARE = 1e-3
+# Deviation of the heights relative to their magnitude below which a field counts as flat.
+_ROUNDING = 1e-10
+# Periods that a field may lack of the fewest, as a fitted frequency has an error.
+_ROUNDED_PERIODS = 0.02
+# Radius of the band around a line, relative to its frequency, and at least [cycles over the field].
+_BAND, _LEAST_BAND = 0.35, 3.0
+# Radius of the bands around the harmonics of a line, relative to its frequency.
+_HARMONIC_BAND = 0.5
+# Highest harmonic whose alias is excluded; higher ones have little power, and would cover the spectrum.
+_MOST_ALIASED = 5
+# Radius of a band in standard deviations of its line.
+_BAND_IN_DEVIATIONS = 2.5
+# Distance of two lines [cycles], below which they are one: the main lobe of the window.
+_RESOLUTION = 2.5
+# Power that a sine may leave in the band relative to its own, for a wave to count as coherent.
+_COHERENT = 0.5
+# Share of the rest of the band that a second sine must explain, to be another wave and not a part of a wavering one.
+_SECOND = 0.7
+# Power of a line on the other side of a wave, relative to its twin, from which both are its side lines.
+_TWIN = 0.25
+# Largest step and number of steps of the search for the centre of a band.
+_MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
+# Lowest frequencies [cycles over the field] whose power gives a standard error: along an axis for coherent waves, in
+# all directions for wavering ones. And the frequency of the equivalent white noise: 0.5 is derived for an endless
+# random walk of the phase; fitted by bench/reproduce/periods.py, for two axes and for one.
+_COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
+_COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
+# Ratios of the power of random walk and white noise at one cycle that are tried.
+_WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 
 @dataclass(frozen=True)
 class Period:
     """Periodic wave in a height field, with its harmonics.
 
+    A period is found if its line in the spectrum is significantly higher than the spectrum at lower and at higher
+    frequencies of the same direction. Noise of any correlation has no such line.
+
     Attributes:
-        period_um: Length of the period [µm].
-        standard_error_um: Standard error of the period [µm], from the power of the residual near its frequency. It is
-            the error of the mean period of the field and assumes random noise. For waviness it excludes the error due
-            to the form of the wave.
+        period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, weighted by its power.
+        standard_error_um: Standard error of the period [µm], as an estimate for the whole surface of which the field is
+            a part. It includes noise and the variation of the period over the field. Two standard errors contain the
+            mean of the surface in about 95 % of fields.
         direction_deg: Direction of the wave vector [degrees], from x towards y, above −90 and at most 90.
         harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, as the pitch allows; 0 for
-            harmonics below the noise. Waviness has only the fundamental.
-        share: Share of the variance of the heights, without tilt, that the wave explains with its harmonics.
+            harmonics below the noise. A wave that wavers by more than a fraction of a period over the field has only
+            the root mean square amplitude of its fundamental.
+        share: Share of the variance of the heights, without tilt, that the wave explains.
         frequency: Wave vector (y, x) [cycles per µm].
-        is_waviness: Whether the field contains fewer than three periods, so that the wave may belong to the form of the
-            surface.
+        is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
 
     Examples:
         >>> import numpy as np
@@ -77,268 +88,333 @@ class Period:
     harmonics_um: tuple[float, ...]
     share: float
     frequency: tuple[float, float]
-    is_waviness: bool
+    is_coherent: bool
 
     def __str__(self) -> str:
         """Return the period with its error, and its direction."""
         # The error is printed with one digit, and the period to the same decimal place.
         digits = max(-math.floor(math.log10(max(self.standard_error_um, 1e-6 * self.period_um))), 0)
         length = f"{self.period_um:.{digits}f} ± {self.standard_error_um:.{digits}f} µm"
-        return f"{length} at {round(self.direction_deg)}°{' (waviness)' if self.is_waviness else ''}"
+        return f"{length} at {round(self.direction_deg)}°"
 
     def __repr__(self) -> str:
         return f"Period({self}, share {self.share:.3g})"
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
-    """Fit the strongest periods, see `HeightField.periods`."""
+    """Find the strongest periods, see `HeightField.periods`."""
     field = heightfield.levelled(1)
     known = ~field.missing
-    heights = np.where(known, field.heights_um, 0.0)
-    scale = max(float(np.max(np.abs(heightfield.heights_um[known]))), 1e-300)
-    variance = float(np.mean(heights[known] ** 2))
-    result: list[Period] = []
-    for _ in range(count):
-        if variance <= (1e-10 * scale) ** 2 or np.mean(heights[known] ** 2) <= _LEAST_SHARE * variance:
-            break
-        with single_threaded_blas():
-            period, wave = _strongest(heights, known, heightfield.pitch_um, variance)
-        if period.share < _LEAST_SHARE:
-            break
-        result.append(period)
-        heights = np.where(known, heights - wave, 0.0)
-    return tuple(sorted(result, key=lambda period: -period.share))
+    deviation = field.rms_um
+    if deviation <= _ROUNDING * float(np.max(np.abs(heightfield.heights_um[known]))):
+        return ()
+    # Heights of unit variance over a field of unit extent: nothing depends on the unit.
+    extent = max(field.size_um)
+    size = field.size_um[0] / extent, field.size_um[1] / extent
+    search = _Search(np.where(known, field.heights_um, field.filled().heights_um) / deviation, known, size)
+    with single_threaded_blas():
+        waves = search.strongest(count)
+    periods = [wave.period(deviation, extent) for wave in waves if wave.share >= _LEAST_SHARE]
+    return tuple(sorted(periods, key=lambda period: -period.share))
 
 
-def _strongest(
-    heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], variance: float
-) -> tuple[Period, NDArray[np.float64]]:
-    """Fit the strongest wave of heights without tilt; return it and its heights."""
-    means = _Means.of(heights, known, pitch, _peak(heights, pitch))
-    fit = means.fitted()
-    residual = np.where(known, heights - fit.heights(means), 0.0)
-    # Harmonics below the noise would change the frequency; they are removed and the fit is repeated.
-    amplitude_variance = 2.0 * float(np.mean(residual[known] ** 2)) / np.count_nonzero(known)
-    significant = fit.amplitudes > _OVER_NOISE * math.sqrt(amplitude_variance)
-    significant[0] = True
-    if not significant.all():
-        means.q, means.orders = fit.q, means.orders[significant]
-        fit = means.fitted()
-        residual = np.where(known, heights - fit.heights(means), 0.0)
-    # The covariance is in units of a cycle over the field. Only noise near a frequency changes its estimate.
-    free = means.free
-    normal = np.stack(fit.columns, axis=1)
-    covariance = np.linalg.pinv((normal * means.weights[:, None]).T @ normal)[-len(free) :, -len(free) :]
-    noise = _noise(residual, fit.q, means.sizes) * heights.size / np.count_nonzero(known)
-    # If the power of the wave is hardly above the noise, the maximum may be a neighbouring peak.
-    power = float(np.sum((means.orders * fit.amplitudes) ** 2)) * np.count_nonzero(known) / 4.0
-    covariance *= noise * (1.0 + _NOISE_CORRECTION * noise / max(power, 1e-300))
-    frequency = float(np.hypot(*fit.q))
-    along = np.array([fit.q[axis] / means.sizes[axis] for axis in free]) / frequency
-    harmonics = np.zeros(means.orders[-1])
-    harmonics[means.orders - 1] = fit.amplitudes
-    qy, qx = fit.q.tolist()
-    if qx < 0.0 or (qx == 0.0 and qy < 0.0):
-        qy, qx = -qy, -qx
-    return Period(
-        period_um=1.0 / frequency,
-        standard_error_um=math.sqrt(max(float(along @ covariance @ along), 0.0)) / frequency**2,
-        direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0, harmonics_um=tuple(harmonics.tolist()),
-        share=max(float(np.mean(heights[known] ** 2) - np.mean(residual[known] ** 2)) / variance, 0.0),
-        frequency=(qy, qx), is_waviness=math.hypot(qy * means.sizes[0], qx * means.sizes[1]) < FEWEST_PERIODS,
-    ), heights - residual  # fmt: skip
-
-
-@dataclass
-class _Means:
-    """Means of heights over blocks of samples, to which waves with frequencies near ``q`` are fitted.
+@dataclass(frozen=True)
+class _Wave:
+    """Wave in heights of unit variance over a field of unit extent.
 
     Attributes:
-        y: Centres of the blocks along y, relative to the centre of the field [µm], shape (k,).
-        x: Centres of the blocks along x, relative to the centre of the field [µm], shape (k,).
-        values: Means of the known samples of the blocks [µm], shape (k,).
-        weights: Numbers of the known samples of the blocks, shape (k,).
-        shape: Number of samples (ny, nx).
-        pitch: Distance of the samples (dy, dx) [µm].
-        blocks: Number of samples of a block along y and x.
-        q: Initial frequency (y, x) of a fit [1/µm].
-        orders: Harmonics to fit; 1 is the fundamental.
+        q: Frequency (y, x).
+        error: Standard error of the frequency along the wave vector.
+        harmonics: Amplitudes.
+        share: Share of the variance.
+        is_coherent: See `Period`.
     """
 
-    y: NDArray[np.float64]
-    x: NDArray[np.float64]
-    values: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    shape: tuple[int, ...]
-    pitch: tuple[float, float]
-    blocks: list[int]
     q: NDArray[np.float64]
-    orders: NDArray[np.int64]
+    error: float
+    harmonics: tuple[float, ...]
+    share: float
+    is_coherent: bool
 
-    @classmethod
-    def of(
-        cls, heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64]
-    ) -> _Means:
-        """Average over blocks that are small enough for a wave of frequency ``q`` and its harmonics."""
-        orders, blocks = _orders_and_blocks(q, heights.shape, pitch)
-        shape = [n // block for n, block in zip(heights.shape, blocks, strict=True)]
-        whole = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
-        total, number = (
-            array[whole].reshape(shape[0], blocks[0], shape[1], blocks[1]).sum(axis=(1, 3))
-            for array in (heights, known)
+    def period(self, deviation: float, extent: float) -> Period:
+        """Return the period in µm, for the standard deviation and the larger extent of the field."""
+        frequency = float(np.hypot(*self.q))
+        qy, qx = (self.q / extent).tolist()
+        if qx < 0.0 or (qx == 0.0 and qy < 0.0):
+            qy, qx = -qy, -qx
+        return Period(
+            period_um=extent / frequency, standard_error_um=extent * self.error / frequency**2,
+            direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0,
+            harmonics_um=tuple(deviation * amplitude for amplitude in self.harmonics), share=self.share,
+            frequency=(qy, qx), is_coherent=self.is_coherent,
+        )  # fmt: skip
+
+
+class _Search:
+    """Search for waves one after the other.
+
+    Coherent waves are fitted and subtracted with their harmonics. The bands of other waves are excluded from the
+    further search, as are bands around all harmonics.
+
+    Attributes:
+        heights: Heights of unit variance without the waves found so far, gaps filled, shape (ny, nx).
+        known: Mask of the samples that are not missing.
+        sizes: Extents along y and x.
+        excluded: Mask of the coefficients, zero frequency in the centre, that belong to waves found so far.
+        bands: Frequencies [cycles over the field] and radii of the bands of coherent waves.
+        wavering: Frequencies of the other waves [cycles over the field].
+    """
+
+    def __init__(self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]) -> None:
+        self.heights, self.known, self.sizes = heights, known, np.array(sizes)
+        self.pitch = sizes[0] / heights.shape[0], sizes[1] / heights.shape[1]
+        self.excluded = np.zeros(heights.shape, dtype=bool)
+        self.bands: list[tuple[NDArray[np.float64], float]] = []
+        self.wavering: list[NDArray[np.float64]] = []
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether both axes have more than one sample."""
+        return min(self.heights.shape) > 1
+
+    def strongest(self, count: int) -> list[_Wave]:
+        """Return at most ``count`` waves."""
+        waves: list[_Wave] = []
+        spectrum = WindowedSpectrum(self.heights)
+        # Side lines of waves that were found already are examined and rejected.
+        for _ in range(2 * count + 2):
+            line = spectrum.strongest_line(self.excluded, self.sizes)
+            if line is None:
+                break
+            wave, spectrum = self._measured(spectrum, line)
+            if wave is not None and math.hypot(*(wave.q * self.sizes)) >= FEWEST_PERIODS - _ROUNDED_PERIODS:
+                waves.append(wave)
+                if len(waves) == count:
+                    break
+        return waves
+
+    def _measured(self, spectrum: WindowedSpectrum, line: Line) -> tuple[_Wave | None, WindowedSpectrum]:
+        """Return the wave of a line, or None for a part of another one, and the spectrum for the next search."""
+        line = self._fundamental(spectrum, line)
+        length = float(np.hypot(*line.cycles))
+        band = max(_BAND * length, _LEAST_BAND)
+        before = spectrum.excess(line, band)
+        peak = spectrum.strongest_within(line.cycles, band)
+        cycles, residual = self._without_sine(self.heights, peak)
+        rest = WindowedSpectrum(residual)
+        after = rest.excess(line, band)
+        has_strayed = _distance(cycles, peak) > 2.0
+        close = [centre for centre, radius in self.bands if _distance(line.cycles, centre) <= radius]
+        is_part = bool(close) and (
+            has_strayed
+            or before - after < _SECOND * before
+            or min(_distance(cycles, centre) for centre in close) < _RESOLUTION + 1.5
         )
-        filled = number > 0
-        places = [
-            (np.arange(n) * block + (block - 1) / 2.0 - size / 2.0) * step
-            for n, block, size, step in zip(shape, blocks, heights.shape, pitch, strict=True)
-        ]
-        y, x = (grid[filled] for grid in np.meshgrid(*places, indexing="ij"))
-        weights = number[filled].astype(np.float64)
-        return cls(y, x, total[filled] / weights, weights, heights.shape, pitch, blocks, q, orders)
+        if is_part or self._is_side_line(spectrum, peak):
+            self._exclude(line.cycles, _LEAST_BAND)
+            return None, spectrum
+        if not has_strayed and self._is_coherent(line, band, before, after, rest, residual, cycles):
+            return self._coherent(cycles, band)
+        wave = self._wavering(line, band)
+        self._exclude(line.cycles, band)
+        if wave is None or any(_distance(wave.q * self.sizes, other) <= band for other in self.wavering):
+            return None, spectrum
+        self._exclude_harmonics(wave.q * self.sizes, band)
+        self.wavering.append(wave.q * self.sizes)
+        return wave, spectrum
 
-    @property
-    def sizes(self) -> list[float]:
-        """Extents along y and x [µm]."""
-        return [n * step for n, step in zip(self.shape, self.pitch, strict=True)]
+    def _is_side_line(self, spectrum: WindowedSpectrum, cycles: NDArray[np.float64]) -> bool:
+        """Whether a line has a twin on the other side of a coherent wave, as a wave whose phase wavers has."""
+        power = spectrum.around(cycles)
+        return any(
+            _distance(cycles, centre) < float(np.hypot(*centre))
+            and spectrum.around(2.0 * centre - cycles) > _TWIN * power
+            for centre, _ in self.bands
+        )
 
-    @property
-    def free(self) -> list[int]:
-        """Axes with more than one sample."""
-        return [axis for axis in (0, 1) if self.shape[axis] > 1]
-
-    def fitted(self) -> _Fit:
-        """Fit a wave with its harmonics and a tilt by the Gauss-Newton method; each step solves for all amplitudes.
-
-        In strong noise a step can increase the residual, so that the best step is returned.
-        """
-        q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
-        best, least = None, math.inf
-        relative = [(self.y, self.x)[axis] / self.sizes[axis] for axis in self.free]
-        for _ in range(_MOST_STEPS):
-            angles = 2.0 * np.pi * np.outer(q[0] * self.y + q[1] * self.x, self.orders)
-            fades = np.prod(
-                [_fade(self.orders * q[axis] * self.pitch[axis], self.blocks[axis]) for axis in (0, 1)], axis=0
-            )
-            cosines, sines = fades * np.cos(angles), fades * np.sin(angles)
-            columns = [*cosines.T, *sines.T, np.ones_like(self.values), *relative]
-            linear = _solved(columns, self.values, root)
-            residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
-            slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
-            # Derivatives of the heights by the frequency, per cycle over the field.
-            columns += [slope * place for place in relative]
-            if residual < least:
-                best, least = _Fit(q.copy(), linear, columns, count), residual
-            step = np.clip(_solved(columns, self.values, root)[-len(relative) :], -0.5, 0.5)
-            if np.max(np.abs(step)) < _CONVERGED:
+    def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
+        """Return the line of which a line is a harmonic, if it has more power."""
+        best, power = line, spectrum.around(line.cycles)
+        for order in (2, 3, 4, 5):
+            guess = line.cycles / order
+            place = spectrum.strongest_within(guess, 1.0 + 0.05 * float(np.hypot(*guess)))
+            if np.hypot(*place) < FEWEST_PERIODS:
                 break
-            for axis, change in zip(self.free, step, strict=True):
-                q[axis] += change / self.sizes[axis]
-            if math.hypot(*(q * self.sizes)) < _LEAST_CYCLES:
-                # Less than half a cycle cannot be distinguished from a tilt.
-                break
-        assert best is not None  # noqa: S101 - for mypy; the first step sets it
+            if spectrum.around(place) > power:
+                lower = spectrum.line_at(place, self.sizes)
+                if lower is not None:
+                    best, power = lower, spectrum.around(place)
         return best
 
+    def _is_coherent(
+        self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
+        residual: NDArray[np.float64], cycles: NDArray[np.float64],
+    ) -> bool:  # fmt: skip
+        """Whether a sine explains a line, or nearly does so together with a second one at a distance."""
+        coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
+        noise = 2.0 * line.background * math.sqrt(coefficients)
+        if after - noise < _COHERENT * (before - after):
+            return True
+        second, without_both = self._without_sine(residual, rest.strongest_within(line.cycles, band))
+        left = WindowedSpectrum(without_both).excess(line, band)
+        return after - left > _SECOND * after and _distance(second, cycles) > 2.0
 
-@dataclass
-class _Fit:
-    """Fitted wave.
+    def _without_sine(
+        self, heights: NDArray[np.float64], cycles: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the frequency of the sine near another one [cycles], and heights without it."""
+        fitted, sine = fit_sine(heights, self.known, cycles)
+        return fitted, np.where(self.known, heights - sine, 0.0)
 
-    Attributes:
-        q: Frequency (y, x) [1/µm].
-        linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt.
-        columns: Columns of the matrix of the fit, and the derivatives by the frequency.
-        count: Number of harmonics.
-    """
+    def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[_Wave, WindowedSpectrum]:
+        """Fit a wave with its harmonics, and subtract it."""
+        fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
+        residual = np.where(self.known, self.heights - fit.heights(), 0.0)
+        frequency = float(np.hypot(*fit.q))
+        along = np.array([fit.q[axis] / self.sizes[axis] for axis in fit.free]) / frequency
+        noise = self._noise(fit, residual)
+        covariance = fit.covariance * np.sqrt(np.outer(noise, noise))
+        harmonics = np.zeros(fit.orders[-1])
+        harmonics[fit.orders - 1] = fit.amplitudes
+        known = self.known
+        wave = _Wave(
+            fit.q, math.sqrt(max(float(along @ covariance @ along), 0.0)), tuple(harmonics.tolist()),
+            max(float(np.mean(self.heights[known] ** 2) - np.mean(residual[known] ** 2)), 0.0), is_coherent=True,
+        )  # fmt: skip
+        self.heights = residual
+        self.bands.append((fit.q * self.sizes, band))
+        self._exclude_harmonics(fit.q * self.sizes, _RESOLUTION)
+        return wave, WindowedSpectrum(residual)
 
-    q: NDArray[np.float64]
-    linear: NDArray[np.float64]
-    columns: list[NDArray[np.float64]]
-    count: int
+    def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
+        """Variances of white noise that is equivalent to the residual, for the frequency along each axis.
 
-    @property
-    def amplitudes(self) -> NDArray[np.float64]:
-        """Amplitudes of the harmonics [µm]."""
-        return np.hypot(self.linear[: self.count], self.linear[self.count : 2 * self.count])
-
-    def heights(self, means: _Means) -> NDArray[np.float64]:
-        """Heights of all samples, shape (ny, nx), with the tilt, which the next fit would otherwise find as a wave."""
-        places = [(np.arange(n) - n / 2.0) * step for n, step in zip(means.shape, means.pitch, strict=True)]
-        result = np.full(means.shape, self.linear[2 * self.count])
-        for axis, tilt in zip(means.free, self.linear[2 * self.count + 1 :], strict=True):
-            run = tilt * places[axis] / means.sizes[axis]
-            result += run[:, None] if axis == 0 else run
-        amplitudes = self.linear[: self.count] - 1j * self.linear[self.count : 2 * self.count]
-        for order, amplitude in zip(means.orders, amplitudes, strict=True):
-            along_y, along_x = (np.exp(2j * np.pi * order * self.q[axis] * places[axis]) for axis in (0, 1))
-            result += np.outer(along_y, amplitude * along_x).real
+        The residual times the derivative of the wave by its phase is the score of the phase. Its lowest frequencies
+        disturb the fitted frequency, whether they come from noise, from the steps between scan lines or from a wave
+        that wavers.
+        """
+        slopes = np.where(self.known, fit.slopes(), 0.0)
+        power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))
+        beside = np.array([-1, 0, 1] if self.is_plane else [0])
+        result = []
+        for axis in fit.free:
+            most = max(min(_COHERENT_ORDINATES, power.shape[axis] // 4), 1)
+            along, across = np.meshgrid(np.arange(1, most + 1), beside, indexing="ij")
+            index = (along, across) if axis == 0 else (across, along)
+            result.append(_low_power(power[index], along**2 + across**2, _COHERENT_AT[not self.is_plane]))
         return result
 
+    def _wavering(self, line: Line, band: float) -> _Wave | None:
+        """Measure the mean frequency of a wave whose phase wavers; None if its band has no power above the background.
 
-def _orders_and_blocks(
-    q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float]
-) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the harmonics to fit, and the number of samples of a block along y and x."""
-    cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
-    most = max(1, min(_MOST_HARMONICS, math.floor(0.5 * _OF_NYQUIST / max(cycles))))
-    if math.hypot(*(cycle * n for cycle, n in zip(cycles, shape, strict=True))) < FEWEST_PERIODS:
-        # With harmonics, so few periods could be fitted to any surface.
-        most = 1
-    while True:
-        # The number of blocks along an axis suffices for at least one period.
-        density = [_SAMPLES_PER_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
-        blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
-        elements = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)
-        if most == 1 or elements <= _MOST_ELEMENTS:
-            return np.arange(1, most + 1), blocks
-        most -= 1
+        The mean frequency is the centre of a disc around itself. The standard error is from the slow variation of the
+        local frequency over the field.
+        """
+        from scipy import fft, special
+
+        periodic = self.heights - cleaning.smooth_part(self.heights)
+        centres = [n // 2 for n in periodic.shape]
+        places = [
+            np.arange(max(math.ceil(c - 1.6 * band - 2.0), -centre), min(int(c + 1.6 * band + 3.0), n - centre))
+            for c, n, centre in zip(line.cycles, periodic.shape, centres, strict=True)
+        ]
+        coefficients = fft.fft2(periodic)[np.ix_(*places)] / math.sqrt(periodic.size)
+        rows, columns = places[0][:, None], places[1][None, :]
+        power = np.abs(coefficients) ** 2
+        above = power - line.background_at(rows, columns)
+        centre, radius = line.cycles, band
+        for _ in range(_MOST_STEPS):
+            dy, dx = rows - centre[0], columns - centre[1]
+            inside = np.hypot(dy, dx) <= radius
+            excess = float(np.sum(above[inside]))
+            if excess <= 0.0:
+                return None
+            shift = np.array([np.sum((above * dy)[inside]), np.sum((above * dx)[inside])]) / excess
+            variance = max(float(np.sum((above * (dy**2 + dx**2))[inside])) / excess, 0.0)
+            centre = centre + np.clip(shift, -_LARGEST_STEP * radius, _LARGEST_STEP * radius)
+            radius = min(_BAND_IN_DEVIATIONS * math.sqrt(variance), _BAND * float(np.hypot(*centre)))
+            radius = max(radius, _LEAST_BAND)
+            if np.max(np.abs(shift)) < _CONVERGED:
+                break
+        q = centre / self.sizes
+        frequency = float(np.hypot(*q))
+        if not frequency > 0.0:
+            return None
+        # The local frequency is the imaginary part of z*∂z over |z|², with z the wave without its mean phase.
+        part = np.where(inside, coefficients, 0.0)
+        offset = (q[0] * (rows - centre[0]) / self.sizes[0] + q[1] * (columns - centre[1]) / self.sizes[1]) / frequency
+        grid = [n if n == 1 else 2 * n for n in part.shape]
+        wave, derivative = fft.ifft2(part, grid), fft.ifft2(part * offset, grid)
+        density = np.abs(wave) ** 2
+        score = (np.conj(wave) * derivative).real
+        score -= density * float(np.sum(score) / np.sum(density))
+        spectrum = np.abs(fft.fft2(score)) ** 2
+        distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
+        low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
+        variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
+        # Noise within the band has no mean frequency of its own, but counts as power.
+        error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
+        degrees = np.count_nonzero(low)
+        error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
+        # Half of the power is at the opposite frequency.
+        share = 2.0 * excess / periodic.size
+        return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
+
+    def _exclude_harmonics(self, cycles: NDArray[np.float64], radius: float) -> None:
+        """Exclude a band around a frequency, and wider ones around its harmonics and their aliases."""
+        self._exclude(cycles, radius)
+        shape = np.array(self.heights.shape)
+        for order in range(2, MOST_HARMONICS + 1):
+            place = order * cycles
+            alias = place - shape * np.round(place / shape)
+            if np.array_equal(place, alias):
+                self._exclude(place, max(radius, _HARMONIC_BAND * float(np.hypot(*cycles))))
+            elif order <= _MOST_ALIASED:
+                self._exclude(alias, radius)
+
+    def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
+        """Exclude a band around a frequency and the opposite one from the further search."""
+        for centre in (cycles, -cycles):
+            rows, columns = (
+                np.arange(max(math.ceil(c - radius), -(n // 2)), min(math.floor(c + radius) + 1, n - n // 2))
+                for c, n in zip(centre, self.excluded.shape, strict=True)
+            )
+            inside = np.hypot(rows[:, None] - centre[0], columns[None, :] - centre[1]) <= radius
+            ny, nx = self.excluded.shape
+            self.excluded[np.ix_(rows + ny // 2, columns + nx // 2)] |= inside
 
 
-def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    """Transfer function of means over blocks of samples, for frequencies in cycles per sample."""
-    turn = np.sin(np.pi * cycles)
-    tiny = np.abs(turn) < 1e-9
-    return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))
+def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Distance of two frequencies [cycles]."""
+    return float(np.hypot(*(a - b)))
 
 
-def _peak(heights: NDArray[np.float64], pitch: tuple[float, float]) -> NDArray[np.float64]:
-    """Frequency (y, x) [1/µm] of the largest Fourier coefficient, on a grid of a quarter or half of a cycle."""
-    ny, nx = heights.shape
-    # A Hann window reduces the leakage of a strong wave into others.
-    faded = heights * np.outer(*(np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in heights.shape))
-    finer = 4 if heights.size <= _MOST_FINER else 2
-    padded = [finer * n if n > 1 else 1 for n in heights.shape]
-    power = np.abs(np.fft.rfft2(faded, padded))
-    along_y, along_x = np.fft.fftfreq(padded[0], pitch[0]), np.fft.rfftfreq(padded[1], pitch[1])
-    cycles = np.hypot(along_y[:, None] * ny * pitch[0], along_x * nx * pitch[1])
-    fastest = np.maximum(np.abs(along_y[:, None]) * pitch[0], along_x * pitch[1])
-    power[(cycles < _LEAST_CYCLES) | (fastest > 0.5 * _OF_NYQUIST)] = 0.0
-    row, column = np.unravel_index(int(np.argmax(power)), power.shape)
-    return np.array([along_y[row], along_x[column]])
+def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: float) -> float:
+    """Extrapolate a power spectrum to a low frequency, as the sum of white noise and a random walk, a + b/k².
+
+    Args:
+        power: Powers at the lowest frequencies; each is distributed exponentially.
+        squares: Squares of the frequencies k.
+        at: Frequency to which the spectrum is extrapolated.
+
+    Returns:
+        The geometric mean of the power there over all ratios of both, weighted by their likelihoods. The most likely
+        ratio alone is often 0 for a few powers of a random walk.
+    """
+    values = np.maximum(power, 1e-300)
+    likelihoods, results = [], []
+    for walk in _WALKS:
+        shape = 1.0 + walk / squares
+        white = float(np.mean(values / shape))
+        likelihoods.append(-float(np.sum(np.log(white * shape))))
+        results.append(math.log(white * (1.0 + walk / at**2)))
+    weights = np.exp(np.array(likelihoods) - max(likelihoods))
+    return math.exp(float(np.average(results, weights=weights)))
 
 
-def _solved(
-    columns: list[NDArray[np.float64]], values: NDArray[np.float64], root: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Weighted least squares by the normal equations, which are well conditioned, as waves are nearly orthogonal."""
-    matrix = np.stack(columns, axis=1) * root[:, None]
-    return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ (values * root), rcond=1e-12)[0], dtype=np.float64)
-
-
-def _noise(residual: NDArray[np.float64], q: NDArray[np.float64], sizes: list[float]) -> float:
-    """Variance per sample of white noise with the power that the residual has near a frequency."""
-    ny, nx = residual.shape
-    power = np.abs(np.fft.fft2(residual)) ** 2 / residual.size
-    cycles_y, cycles_x = np.fft.fftfreq(ny, 1.0 / ny), np.fft.fftfreq(nx, 1.0 / nx)
-    away = np.hypot(cycles_y[:, None] - q[0] * sizes[0], cycles_x - q[1] * sizes[1])
-    # Within one cycle of the frequency, the fit itself has removed power.
-    nearby = power[(away > 1.0) & (away < 4.0)]
-    return float(np.mean(nearby)) if nearby.size else float(np.mean(residual**2))
-
-
-def cut_whole(heightfield: HeightField) -> HeightField:
-    """Crop to the largest part of whole periods, see `HeightField.whole_periods`."""
-    periods = [period for period in fit(heightfield, 3) if not period.is_waviness]
+def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
+    """Crop to the largest part of whole periods, see `HeightField.whole_periods`; return it and the period."""
+    periods = fit(heightfield, 3)
     if not periods:
         raise ArgumentValueError(
             f"{ref('whole_periods()')} needs a period that repeats at least three times, and this field has none; use "
@@ -350,4 +426,4 @@ def cut_whole(heightfield: HeightField) -> HeightField:
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
         # Along its grooves a wave shifts by less than a period, and the axis stays unchanged.
         size.append(number / frequency if number else heightfield.size_um[axis])
-    return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0))
+    return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

@@ -355,6 +355,8 @@ class Image:
         spec.attribute("Software", "warpdiff")
         if self.plan is not None:
             spec.attribute("ImageDescription", f"{self.plan}\n\n{self.report}")
+        if self.report is not None and self.report.history:
+            spec.attribute("warpdiff:history", " ".join(self.report.history))
         spec.attribute("warpdiff:display", transform)
         spec.attribute("warpdiff:exposure", float(factor))
 

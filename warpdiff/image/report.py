@@ -35,6 +35,7 @@ class Report:
         unconverged_edge_share: Expected fraction of the pixels at edges, of the mesh or of shadows, whose error exceeds
             three times the tolerance; 0 without refinement.
         light_sample_count: Number of directions by which all lights together are represented.
+        history: Steps that made the height field, see :attr:`warpdiff.HeightField.history`.
 
     Examples:
         >>> import warpdiff as wd
@@ -52,6 +53,7 @@ class Report:
     unconverged_share: float
     unconverged_edge_share: float
     light_sample_count: int
+    history: tuple[str, ...] = ()
 
     @property
     def is_converged(self) -> bool:
@@ -89,7 +91,10 @@ class Report:
             "unconverged pixels, edges": f"{100.0 * self.unconverged_edge_share:.2g} %",
             "directions of the lights": f"{self.light_sample_count:,}",
         }
-        return "\n".join([self.verdict, *(f"  {label:34}{value}" for label, value in rows.items())])
+        lines = [self.verdict, *(f"  {label:34}{value}" for label, value in rows.items())]
+        if self.history:
+            lines += ["Height field:", *(f"  {step}" for step in self.history)]
+        return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"

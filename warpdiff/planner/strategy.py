@@ -163,7 +163,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     """
     heightfield, tolerance, method = request.heightfield, request.tolerance, _method(request)
     refusals.check_integration(request)
-    check_cycles(heightfield, direction_range.kappas[1])
+    if method != "direct":
+        check_cycles(heightfield, direction_range.kappas[1])
     upper = bounds.upper_bound_plan(request, direction_range, method=method, tolerance=tolerance)
     refusals.check_size(heightfield, upper)
     refusals.warn_of_aliasing(heightfield, upper, direction_range)

@@ -26,6 +26,7 @@ from warpdiff.render.shade import (
     picture_memory,
     require_picture_memory,
     warn_unconverged,
+    with_history,
 )
 from warpdiff.request.settings import PictureSettings
 from warpdiff.request.signatures import accepts
@@ -258,6 +259,7 @@ class Renderer:
             self.draw()
         with self._turn:
             image = self._mine.picture.image(replace(self.plan, tolerance=self._mine.tolerance))
+        image = with_history(image, self._inputs.evaluation.heightfield)
         warn_unconverged(image)
         if not self._inputs.evaluation.device.is_cpu:
             return image

@@ -124,7 +124,14 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
             evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
         picture.render(lookup, tolerance=plan.tolerance, progress=progress)
-    return picture.image(plan)
+    return with_history(picture.image(plan), evaluation.heightfield)
+
+
+def with_history(image: Image, heightfield: HeightField) -> Image:
+    """Return a picture whose report has the history of its height field."""
+    if image.report is None or not heightfield.history:
+        return image
+    return replace(image, report=replace(image.report, history=heightfield.history))
 
 
 # Largest memory per pixel that a picture of any kind requires while it is computed [bytes]. Fitted to measurements.

@@ -9,6 +9,7 @@ from warpdiff.core import forks
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.diffraction import energy_normalisation
+from warpdiff.heightfield.edge_checks import warn_of_edges
 from warpdiff.heightfield.field import check_whole
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial, check_materials
@@ -91,6 +92,7 @@ class Evaluation:
                 "warpdiff.plan(heightfield)"
             )
         energy = getattr(settings, "energy", "stam")
+        warn_of_edges(heightfield, settings.effective_coherence, 1e-3 * band_nm[1])
         return cls(
             heightfield=heightfield, tolerance=settings.tolerance, method=settings.method,
             integration=settings.integration, coherence=settings.effective_coherence, normal_reflectance=normal,

@@ -19,6 +19,7 @@ import numpy as np
 
 from warpdiff.core import memory, validation
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.heightfield import scale_checks
 from warpdiff.heightfield.field import HeightField
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
         # The number of samples is made even, so that one sample is exactly at the valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
+    scale_checks.warn_of_grating(period, depth_um=depth)
     memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
     return validation.number(period, "period_um", least=samples * validation.LEAST), depth, samples
 
@@ -276,6 +278,7 @@ def bumps(
         (50, 25)
     """
     height = validation.number(height_um, "height_um", least=0.0)
+    scale_checks.warn_of_grating(min(validation.pair(spacing_um, "spacing_um")), height_um=height)
     extent = validation.positive(length_um, "length_um"), validation.positive(width_um, "width_um")
     spacing = validation.pair(spacing_um, "spacing_um")
     pitch = validation.positive(pitch_um, "pitch_um")
@@ -329,6 +332,7 @@ def fingers(
     period = validation.positive(period_um, "period_um")
     length = validation.positive(length_um, "length_um")
     height = validation.number(height_um, "height_um", least=0.0)
+    scale_checks.warn_of_grating(period, height_um=height)
     if size[0] < length or size[1] < period:
         raise ArgumentValueError(
             f"{ref('size_um')} must be at least one finger, (y, x) = ({length:g}, {period:g}), got {size}"

@@ -1,0 +1,100 @@
+"""Checks before an evaluation: whether a field is levelled, and whether its opposite edges match."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ref
+from warpdiff.heightfield import cleaning
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.optics.coherence import Coherence
+
+# Standard deviation of the fitted plane over that of the remaining roughness, above which a field counts as tilted.
+# Measured on a patch of 18 µm: at 0.3 colours do not change, at 1 the scattered power falls by 29 %.
+_MOST_TILT = 1.0
+# The same ratio at which the plane is exact, as of one period of a blazed grating.
+_EXACT = 1e6
+# Standard deviation of the smooth part of Moisan's decomposition over that of the heights, above which edges count as
+# unequal: the limit of `HeightField.periodic`, below which patches of many grains stay.
+_MOST_CHANGE = 0.4
+# Jump across the edges relative to the largest steps within the field, above which it is no wall of a grating.
+_MOST_JUMP = 1.5
+# Share of the interfering pairs of points with an edge between them, from which edges matter. Derived for a Gaussian
+# window: their mean distance along an axis is 2σ/√π.
+_LEAST_SHARE = 0.1
+_warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
+
+
+def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: float) -> None:
+    """Warn once of a field that is not levelled or whose edges do not match, where this changes its reflectance.
+
+    Args:
+        heightfield: Field without gaps.
+        coherence: Coherence of the evaluation.
+        longest_um: Longest wavelength [µm].
+    """
+    if heightfield in _warned:
+        return
+    heights = heightfield.heights_um
+    jumps = [_jump(heights, axis) for axis in (0, 1)]
+    if max(jumps) <= _MOST_JUMP:
+        return
+    plane = heights - cleaning.level(heights, heightfield.missing, 1)
+    rough = float(np.std(heights - plane))
+    tilt = float(np.std(plane))
+    if _MOST_TILT * rough < tilt < _EXACT * rough:
+        _warned.add(heightfield)
+        warn(
+            f"{ref('heightfield')} is not levelled: its tilt has a standard deviation of {tilt:.3g} µm, its roughness "
+            f"of {rough:.3g} µm; remove the tilt with {ref('levelled()')}, then make the edges match with "
+            f"{ref('periodic()')}"
+        )
+        return
+    size = heightfield.size_um
+    shares = [_share(coherence, size[axis], axis, longest_um) if jumps[axis] > _MOST_JUMP else 0.0 for axis in (0, 1)]
+    if tilt >= _EXACT * rough or max(shares) < _LEAST_SHARE:
+        return
+    change = float(np.sqrt(np.mean(cleaning.smooth_part(heights) ** 2)))
+    if change > _MOST_CHANGE * heightfield.rms_um:
+        _warned.add(heightfield)
+        worst = jumps.index(max(jumps))
+        warn(
+            f"opposite edges of {ref('heightfield')} do not match along {'yx'[worst]}: they differ by "
+            f"{jumps[worst]:.2g} times the largest steps of its roughness, and {100.0 * max(shares):.2g} % of the "
+            f"interfering pairs of points have an edge between them; use {ref('periodic()')}, or cut whole periods "
+            f"with {ref('whole_periods()')}"
+        )
+
+
+def _jump(heights: NDArray[np.float64], axis: int) -> float:
+    """Root mean square jump across the edges relative to the largest steps within a field; 0 for a flat one."""
+    if heights.shape[axis] < 3:
+        return 0.0
+    jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))
+    if jump <= 1e-9 * float(np.max(np.abs(heights))):
+        return 0.0
+    # A wall of a grating is in most of the lines along the axis, and dust in few of them.
+    largest = float(np.median(np.max(np.abs(np.diff(heights, axis=axis)), axis=axis)))
+    return jump / largest if largest > 0.0 else 0.0
+
+
+def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
+    """Share of the interfering pairs of points that have an edge between them, along one axis."""
+    if coherence.periods is not None:
+        return 0.0 if coherence.periods[axis] == 1 else 1.0
+    sigma = coherence.sigma_um
+    if sigma is None:
+        sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
+    if coherence.kind == "centred" and coherence.centre_um is None:
+        # One window in the middle of the patch; its weight beyond the edges.
+        return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
+    return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

@@ -1,0 +1,264 @@
+"""Least-squares fit of a wave of any frequency with its harmonics, and the variance of its frequency."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Waves with fewer cycles over the field may belong to the form of the surface.
+FEWEST_PERIODS = 3.0
+# Limit on the number of harmonics of a wave.
+MOST_HARMONICS = 16
+# Largest frequency of a harmonic relative to the Nyquist limit, at which a sine may vanish on all samples.
+OF_NYQUIST = 0.9
+# Samples per period of the shortest harmonic; more are averaged over blocks, which saves time. With two, harmonics
+# alias.
+_SAMPLES_PER_PERIOD = 4
+# Limit on the number of elements of the matrix of a fit, which limits time and memory.
+_MOST_ELEMENTS = 2_000_000
+# Smallest significant amplitude of a harmonic, in standard deviations of the amplitude of noise.
+_OVER_NOISE = 4.0
+# Limit on the steps of a fit.
+_MOST_STEPS = 12
+# Change of frequency [cycles over the field] that ends a fit.
+_CONVERGED = 1e-6
+
+
+def fit_wave(
+    heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64],
+
+) -> HarmonicFit:  # fmt: skip
+    """Fit a wave of a frequency near ``q`` [1/µm], with its significant harmonics and a tilt, to the known samples."""
+    means = _Means.of(heights, known, pitch, q, MOST_HARMONICS)
+    fit = means.fitted()
+    residual = np.where(known, heights - fit.heights(), 0.0)
+    # Harmonics below the noise would change the frequency; they are removed and the fit is repeated.
+    amplitude_variance = 2.0 * float(np.mean(residual[known] ** 2)) / np.count_nonzero(known)
+    significant = fit.amplitudes > _OVER_NOISE * math.sqrt(amplitude_variance)
+    significant[0] = True
+    if not significant.all():
+        means.q, means.orders = fit.q, means.orders[significant]
+        fit = means.fitted()
+    return fit
+
+
+def fit_sine(
+    heights: NDArray[np.float64], known: NDArray[np.bool_], cycles: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the frequency of the sine nearest to ``cycles`` [cycles over the field], and its heights.
+
+    The frequency maximises the Fourier integral with a Hann window, to 1 % of a cycle. `fit_wave` is more precise and
+    takes several times as long.
+    """
+    shape = heights.shape
+    places = [np.arange(n) / n - 0.5 for n in shape]
+    windows = [np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in shape]
+    faded = np.where(known, heights, 0.0) * windows[0][:, None] * windows[1]
+    best = np.asarray(cycles, dtype=np.float64)
+    for step in (0.5, 0.1, 0.02):
+        steps = [step * np.arange(-2, 3) if n > 1 else np.zeros(1) for n in shape]
+        waves = [
+            np.exp(-2j * np.pi * np.outer(c + offsets, place))
+            for c, offsets, place in zip(best, steps, places, strict=True)
+        ]
+        power = np.abs(waves[0] @ faded @ waves[1].T)
+        row, column = np.unravel_index(int(np.argmax(power)), power.shape)
+        best = best + np.array([steps[0][row], steps[1][column]])
+    along_y, along_x = (np.exp(2j * np.pi * c * place) for c, place in zip(best, places, strict=True))
+    # Least squares of the cosine and the sine over the known samples.
+    weight = known.astype(np.float64)
+    twice = np.conj(along_y) ** 2 @ weight @ np.conj(along_x) ** 2 / np.sum(weight)
+    once = 2.0 * (np.conj(along_y) @ np.where(known, heights, 0.0) @ np.conj(along_x)) / np.sum(weight)
+    amplitude = (once - twice * np.conj(once)) / max(1.0 - abs(twice) ** 2, 1e-3)
+    return best, np.outer(along_y, amplitude * along_x).real
+
+
+@dataclass
+class _Means:
+    """Means of heights over blocks of samples, to which waves with frequencies near ``q`` are fitted.
+
+    Attributes:
+        y: Centres of the blocks along y, relative to the centre of the field [µm], shape (k,).
+        x: Centres of the blocks along x, relative to the centre of the field [µm], shape (k,).
+        values: Means of the known samples of the blocks [µm], shape (k,).
+        weights: Numbers of the known samples of the blocks, shape (k,).
+        shape: Number of samples (ny, nx).
+        pitch: Distance of the samples (dy, dx) [µm].
+        blocks: Number of samples of a block along y and x.
+        q: Initial frequency (y, x) of a fit [1/µm].
+        orders: Harmonics to fit; 1 is the fundamental.
+    """
+
+    y: NDArray[np.float64]
+    x: NDArray[np.float64]
+    values: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    shape: tuple[int, ...]
+    pitch: tuple[float, float]
+    blocks: list[int]
+    q: NDArray[np.float64]
+    orders: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls, heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float],
+        q: NDArray[np.float64], most: int,
+    ) -> _Means:  # fmt: skip
+        """Average over blocks that are small enough for a wave of frequency ``q`` and its harmonics."""
+        orders, blocks = _orders_and_blocks(q, heights.shape, pitch, most)
+        shape = [n // block for n, block in zip(heights.shape, blocks, strict=True)]
+        whole = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
+        total, number = (
+            array[whole].reshape(shape[0], blocks[0], shape[1], blocks[1]).sum(axis=(1, 3))
+            for array in (heights, known)
+        )
+        filled = number > 0
+        places = [
+            (np.arange(n) * block + (block - 1) / 2.0 - size / 2.0) * step
+            for n, block, size, step in zip(shape, blocks, heights.shape, pitch, strict=True)
+        ]
+        y, x = (grid[filled] for grid in np.meshgrid(*places, indexing="ij"))
+        weights = number[filled].astype(np.float64)
+        return cls(y, x, total[filled] / weights, weights, heights.shape, pitch, blocks, q, orders)
+
+    @property
+    def sizes(self) -> list[float]:
+        """Extents along y and x [µm]."""
+        return [n * step for n, step in zip(self.shape, self.pitch, strict=True)]
+
+    @property
+    def free(self) -> list[int]:
+        """Axes with more than one sample."""
+        return [axis for axis in (0, 1) if self.shape[axis] > 1]
+
+    def fitted(self) -> HarmonicFit:
+        """Fit a wave with its harmonics and a tilt by the Gauss-Newton method; each step solves for all amplitudes.
+
+        In strong noise a step can increase the residual, so that the best step is returned.
+        """
+        q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
+        best, least = None, math.inf
+        relative = [(self.y, self.x)[axis] / self.sizes[axis] for axis in self.free]
+        for _ in range(_MOST_STEPS):
+            angles = 2.0 * np.pi * np.outer(q[0] * self.y + q[1] * self.x, self.orders)
+            fades = np.prod(
+                [_fade(self.orders * q[axis] * self.pitch[axis], self.blocks[axis]) for axis in (0, 1)], axis=0
+            )
+            cosines, sines = fades * np.cos(angles), fades * np.sin(angles)
+            columns = [*cosines.T, *sines.T, np.ones_like(self.values), *relative]
+            linear = _solved(columns, self.values, root)
+            residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
+            slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
+            # Derivatives of the heights by the frequency, per cycle over the field.
+            columns += [slope * place for place in relative]
+            if residual < least:
+                normal = np.stack(columns, axis=1)
+                covariance = np.linalg.pinv((normal * self.weights[:, None]).T @ normal)[-len(relative) :]
+                best = HarmonicFit(
+                    q.copy(), self.orders, linear, covariance[:, -len(relative) :], self.shape, self.pitch, self.free
+                )
+                least = residual
+            step = np.clip(_solved(columns, self.values, root)[-len(relative) :], -0.5, 0.5)
+            if np.max(np.abs(step)) < _CONVERGED:
+                break
+            for axis, change in zip(self.free, step, strict=True):
+                q[axis] += change / self.sizes[axis]
+            if math.hypot(*(q * self.sizes)) < 1.0:
+                # Less than a cycle cannot be distinguished from a bow.
+                break
+        assert best is not None  # noqa: S101 - for mypy; the first step sets it
+        return best
+
+
+@dataclass
+class HarmonicFit:
+    """Fitted wave.
+
+    Attributes:
+        q: Frequency (y, x) [1/µm].
+        orders: Harmonics; 1 is the fundamental.
+        linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt.
+        covariance: Covariance of the frequency along the free axes [cycles over the field], for white noise of
+            variance 1.
+        shape: Number of samples (ny, nx).
+        pitch: Distance of the samples (dy, dx) [µm].
+        free: Axes with more than one sample.
+    """
+
+    q: NDArray[np.float64]
+    orders: NDArray[np.int64]
+    linear: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    shape: tuple[int, ...]
+    pitch: tuple[float, float]
+    free: list[int]
+
+    @property
+    def amplitudes(self) -> NDArray[np.float64]:
+        """Amplitudes of the harmonics [µm]."""
+        count = len(self.orders)
+        return np.hypot(self.linear[:count], self.linear[count : 2 * count])
+
+    def _places(self) -> list[NDArray[np.float64]]:
+        """Coordinates of the samples along y and x, relative to the centre of the field [µm]."""
+        return [(np.arange(n) - n / 2.0) * step for n, step in zip(self.shape, self.pitch, strict=True)]
+
+    def heights(self) -> NDArray[np.float64]:
+        """Heights of all samples, shape (ny, nx), with the tilt, which the next fit would otherwise find as a wave."""
+        places, count = self._places(), len(self.orders)
+        result = np.full(self.shape, self.linear[2 * count])
+        for axis, tilt in zip(self.free, self.linear[2 * count + 1 :], strict=True):
+            run = tilt * places[axis] / (self.shape[axis] * self.pitch[axis])
+            result += run[:, None] if axis == 0 else run
+        return result + self._sum(np.ones(count))
+
+    def slopes(self) -> NDArray[np.float64]:
+        """Derivatives of the wave by its phase at all samples [µm], shape (ny, nx)."""
+        return self._sum(1j * self.orders)
+
+    def _sum(self, factors: NDArray[np.complex128] | NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sum of the harmonics with complex factors, shape (ny, nx)."""
+        places, count = self._places(), len(self.orders)
+        amplitudes = factors * (self.linear[:count] - 1j * self.linear[count : 2 * count])
+        result = np.zeros(self.shape)
+        for order, amplitude in zip(self.orders, amplitudes, strict=True):
+            along_y, along_x = (np.exp(2j * np.pi * order * self.q[axis] * places[axis]) for axis in (0, 1))
+            result += np.outer(along_y, amplitude * along_x).real
+        return result
+
+
+def _orders_and_blocks(
+    q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float], most: int
+) -> tuple[NDArray[np.int64], list[int]]:
+    """Return the harmonics to fit, and the number of samples of a block along y and x."""
+    cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
+    most = max(1, min(most, math.floor(0.5 * OF_NYQUIST / max(cycles))))
+    while True:
+        # The number of blocks along an axis suffices for at least one period.
+        density = [_SAMPLES_PER_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
+        blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
+        elements = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)
+        if most == 1 or elements <= _MOST_ELEMENTS:
+            return np.arange(1, most + 1), blocks
+        most -= 1
+
+
+def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
+    """Transfer function of means over blocks of samples, for frequencies in cycles per sample."""
+    turn = np.sin(np.pi * cycles)
+    tiny = np.abs(turn) < 1e-9
+    return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))
+
+
+def _solved(
+    columns: list[NDArray[np.float64]], values: NDArray[np.float64], root: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weighted least squares by the normal equations, which are well conditioned, as waves are nearly orthogonal."""
+    matrix = np.stack(columns, axis=1) * root[:, None]
+    return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ (values * root), rcond=1e-12)[0], dtype=np.float64)

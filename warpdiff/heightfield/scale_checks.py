@@ -1,0 +1,240 @@
+"""Checks of the scale of heights and pitch: codes for missing data, and units other than µm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+
+# Size of an atom [µm]: a smaller pitch or height range is in another unit.
+_ATOM_UM = 1e-4
+# Height range [µm] below which a nearly flat field is suspected of another unit of its heights, if another unit makes
+# it usual. Flat and smooth surfaces of such a range exist.
+_SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
+# Largest pitch [µm] that resolves diffraction of visible light by more than some degrees.
+_MOST_PITCH_UM = 2.0
+# Half of the shortest visible wavelength [µm]; a smaller field has no order.
+_LEAST_SIZE_UM = 0.19
+# Mean slopes above which a field gets a warning. Echelles of 76° have a mean slope of 8, and their facets one of 4:
+# from the first limit on the median counts, from the second one on every field is warned of.
+_STEEP, _TOO_STEEP = 5.0, 10.0
+# Height range, relative to the largest height, that counts as rounding of a flat field; it gets no warning.
+_ROUNDING = 1e-12
+# Units in µm, from the most to the least usual one.
+_UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
+# Usual height ranges, pitches [µm] and mean slopes, and the middle of the former on a logarithmic scale. A unit is
+# proposed if it makes all of them usual.
+_RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
+_TYPICAL_RANGE_UM = 0.3
+# Lengths of a synthetic grating beyond which its unit is in question: period [µm], and depth over period.
+_MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
+
+# Number of slopes along an axis that are measured. Limit: time.
+_MOST_SLOPES = 200_000
+
+# Numbers that instruments and programs write where they have no height.
+_CODES = (
+    -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
+    65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
+)  # fmt: skip
+# Distance of a code from all other heights, relative to their range: of a usual code, and of any number that at least
+# so many samples have exactly.
+_FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
+# Magnitude [µm] that no height has, whatever its unit: the largest float32 and 1e20 are codes.
+_MOST_HEIGHT = 1e9
+
+
+def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
+    """Refuse heights beyond ``most``, which are codes for missing data."""
+    beyond = (heights > most) | (heights < -most)
+    if count := int(np.count_nonzero(beyond)):
+        raise ArgumentValueError(
+            f"{ref('heights_um')} must lie within ±{most:g}, got {heights[beyond][0]:g} at {count} sample(s), probably "
+            "a code for missing data: replace it with NaN"
+        )
+
+
+def warn_of_scale(heightfield: HeightField) -> None:
+    """Warn of codes for missing data among the heights, and of a scale that no diffracting surface has."""
+    heights = heightfield.heights_um
+    code = _missing_code(heights)
+    if code is not None:
+        value, count = code
+        warn(
+            f"{ref('heights_um')} has {count} sample(s) of exactly {value:.10g}, far from all others, probably a code "
+            f"for missing data: replace them with NaN, as by numpy.where(heights == {value:.10g}, numpy.nan, heights)"
+        )
+        heights = np.where(heights == value, np.nan, heights)
+    scale = _Scale.of(heights, heightfield.pitch_um)
+    if scale is None:
+        return
+    symptom = scale.symptom()
+    if symptom:
+        warn(f"{symptom}; {scale.remedy()}. If the scale is right, make the field with HeightField.of_known_scale()")
+
+
+def warn_of_grating(period_um: float, **depths_um: float) -> None:
+    """Warn of a synthetic grating whose period or depth is probably in another unit."""
+    for name, value in {"period_um": period_um, **depths_um}.items():
+        if 0.0 < value < _ATOM_UM:
+            ratios = {unit: value * _UNITS[unit] / _TYPICAL_RANGE_UM for unit in ("metres", "millimetres")}
+            unit = min(ratios, key=lambda unit: abs(math.log(ratios[unit])))
+            warn(
+                f"{ref(name)} of {value:.4g} µm is less than an atom; is it in {unit}? Multiply it by {_UNITS[unit]:g}"
+            )
+            return
+    if period_um > _MOST_PERIOD_UM:
+        warn(f"{ref('period_um')} of {period_um:.4g} µm is very long; is it in nanometres? Multiply it by 0.001")
+        return
+    for name, value in depths_um.items():
+        if value > _MOST_ASPECT * period_um:
+            warn(
+                f"{ref(name)} of {value:.4g} µm is more than {_MOST_ASPECT:g} periods of {period_um:.4g} µm; is it in "
+                "nanometres? Multiply it by 0.001"
+            )
+
+
+def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
+    """Return a number that is probably a code for missing data, and how many samples have it; None if there is none."""
+    for value, others in ((float(np.nanmin(heights)), np.nanmin), (float(np.nanmax(heights)), np.nanmax)):
+        count = int(np.count_nonzero(heights == value))
+        rest = heights[(heights != value) & ~np.isnan(heights)]
+        if not rest.size:
+            return None
+        spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
+        known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
+        # A binary grating has two heights and no code.
+        if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
+            gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
+        ):
+            return value, count
+    return None
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """Magnitudes of a field.
+
+    Attributes:
+        height: Height range [µm].
+        pitch: Smallest and largest pitch of the axes with more than one sample [µm].
+        size: Largest extent of these axes [µm].
+        slope: Mean absolute slope.
+        median_slope: Median of the absolute slope.
+    """
+
+    height: float
+    pitch: tuple[float, float]
+    size: float
+    slope: float
+    median_slope: float
+
+    @classmethod
+    def of(cls, heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> _Scale | None:
+        """Measure a field; None if it is flat or has a single sample."""
+        known = heights[~np.isnan(heights)]
+        height = float(np.ptp(known))
+        free = [axis for axis in (0, 1) if heights.shape[axis] > 1]
+        if not free or height <= _ROUNDING * max(float(np.max(np.abs(known))), 1.0):
+            return None
+        pitch = min(pitch_um[axis] for axis in free), max(pitch_um[axis] for axis in free)
+        size = max(heights.shape[axis] * pitch_um[axis] for axis in free)
+        if _is_within(pitch, size) and _SUSPICIOUS_RANGE_UM <= height <= _STEEP * pitch[0]:
+            # No slope can be too large.
+            return None
+        slopes = []
+        for axis in free:
+            along = np.abs(np.diff(heights, axis=axis)).ravel() / pitch_um[axis]
+            along = along[:: 1 + along.size // _MOST_SLOPES]
+            slopes.append(along[~np.isnan(along)])
+        means = [float(np.mean(along)) for along in slopes if along.size]
+        medians = [float(np.median(along)) for along in slopes if along.size]
+        return cls(height, pitch, size, math.hypot(*means) if means else 0.0, max(medians, default=0.0))
+
+    def symptom(self) -> str:
+        """Return what is unusual, in words; an empty string if nothing is."""
+        is_steep = self.slope > _TOO_STEEP or min(self.slope, self.median_slope) > _STEEP
+        proposed = self._proposal() is not None
+        symptoms = (
+            (self.pitch[0] < _ATOM_UM, f"{ref('pitch_um')} of {self.pitch[0]:.2g} µm is less than an atom"),
+            (self.height < _ATOM_UM, f"{ref('heights_um')} has a range of {self.height:.2g} µm, less than an atom"),
+            (self.pitch[1] > _MOST_PITCH_UM,
+             f"{ref('pitch_um')} of {self.pitch[1]:.4g} µm is too coarse for the diffraction of light"),
+            (is_steep and self.height > self.size,
+             f"{ref('heights_um')} has a range of {self.height:.4g} µm, more than the size of {self.size:.4g} µm"),
+            (is_steep, f"{ref('heights_um')} has a mean slope of {self.slope:.3g}"),
+            (proposed and self.size < _LEAST_SIZE_UM,
+             f"the field has a size of {self.size:.2g} µm, less than half a wavelength"),
+            (proposed and self.height < _SUSPICIOUS_RANGE_UM and self.slope < _SUSPICIOUS_SLOPE,
+             f"{ref('heights_um')} has a range of {self.height:.2g} µm, hardly more than an atom"),
+        )  # fmt: skip
+        return next((words for is_unusual, words in symptoms if is_unusual), "")
+
+    def remedy(self) -> str:
+        """Return the question and the factor for the units that heights and pitch probably have."""
+        proposal = self._proposal()
+        if proposal is None:
+            return "check the units: heights and pitch must be in µm"
+        of_heights, of_pitch = proposal
+        if of_heights and of_pitch:
+            if of_heights == of_pitch:
+                return f"are heights and pitch in {of_heights}? Multiply both by {_UNITS[of_heights]:g}"
+            return (
+                f"are heights in {of_heights} and the pitch in {of_pitch}? Multiply heights by "
+                f"{_UNITS[of_heights]:g} and the pitch by {_UNITS[of_pitch]:g}"
+            )
+        if of_pitch:
+            return f"is the pitch in {of_pitch}? Multiply it by {_UNITS[of_pitch]:g}"
+        return f"are heights in {of_heights}? Multiply them by {_UNITS[of_heights]:g}"
+
+    def _proposal(self) -> tuple[str, str] | None:
+        """Return the units of heights and pitch that make the field usual, "" for µm; None if there are none.
+
+        A change of one of them, or of both to the same unit, is preferred to two different units, and ångströms are
+        proposed last.
+        """
+        usual = [pair for pair in self._changes() if self._is_usual(*pair)]
+        if not usual:
+            return None
+
+        def order(pair: tuple[str, str]) -> tuple[bool, bool, float]:
+            heights, pitch = pair
+            height = self.height * _UNITS.get(heights, 1.0)
+            differing = bool(heights and pitch and heights != pitch)
+            return "ångströms" in pair, differing, abs(math.log(height / _TYPICAL_RANGE_UM))
+
+        return min(usual, key=order)
+
+    @staticmethod
+    def _changes() -> Iterator[tuple[str, str]]:
+        """Yield pairs of units of heights and pitch that are not both µm."""
+        for heights in ("", *_UNITS):
+            for pitch in ("", *_UNITS):
+                if heights or pitch:
+                    yield heights, pitch
+
+    def _is_usual(self, heights: str, pitch: str) -> bool:
+        """Whether a field is usual in these units."""
+        of_heights, of_pitch = _UNITS.get(heights, 1.0), _UNITS.get(pitch, 1.0)
+        return (
+            _RANGES_UM[0] <= self.height * of_heights <= _RANGES_UM[1]
+            and _is_within((self.pitch[0] * of_pitch, self.pitch[1] * of_pitch), self.size * of_pitch)
+            and _SLOPES[0] <= self.slope * of_heights / of_pitch <= _SLOPES[1]
+        )
+
+
+def _is_within(pitch: tuple[float, float], size: float) -> bool:
+    """Whether the smallest and largest pitch and the size [µm] are usual."""
+    return _PITCHES_UM[0] <= pitch[0] and pitch[1] <= _PITCHES_UM[1] and size >= _LEAST_SIZE_UM

@@ -1,0 +1,371 @@
+"""Search for lines in the power spectrum of a height field that rise significantly above its background.
+
+Frequencies are in cycles over the field, pairs in the order (y, x). The background is never assumed to be white: a line
+must exceed the spectrum at lower and at higher frequencies of the same direction, so that waviness, roughness of any
+correlation, steps between scan lines and grinding marks are not mistaken for periods.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, OF_NYQUIST
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Widths [cycles] of the boxes over which the spectrum is averaged: narrow lines need 1, lines of wavering waves more.
+# An axis must have at least so many boxes.
+_WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
+# Probability that noise exceeds the threshold anywhere in the spectrum, for each width; and for a single frequency.
+_FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
+# Smallest power of a line that is wider than the resolution, relative to the background: by less than this factor the
+# estimate of the background is wrong. If doubled, lines of weak wavering waves are lost.
+_LEAST_CONTRAST = 4.0
+# Probability above which a maximum of the coarsely normalised spectrum is not examined.
+_EXAMINED = 1e-3
+# Largest number of maxima of each width that are examined. Limit: time.
+_MOST_CANDIDATES = 40
+# Half width of the main lobe of the Hann window [cycles], at which its power is below 1 %.
+_MAIN_LOBE = 1.8
+# Half width of the strips along a wave vector, relative to the frequency, and number of rows of coefficients in them.
+_STRIP, _MOST_ALONG = 0.15, 40
+# Highest frequency of the background relative to that of the line, of fields and of profiles, which have fewer
+# coefficients.
+_HIGHEST = (1.8, 2.4)
+# Bins of the coarse background: rings per octave, and sectors of the half plane; and the number of coefficients from
+# which it is estimated. Limit: time.
+_RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
+# Frequency [cycles] below which all coefficients are taken.
+_FEW_CYCLES = 64.0
+# Smallest and largest exponent of the background; steeper ones come from few coefficients.
+_EXPONENTS = (-4.0, 8.0)
+# Directions of the straight lines through a maximum.
+_FAN = np.arange(24) * (math.pi / 24.0)
+_FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
+# Quantile of the powers in a bin that gives the coarse background: at low frequencies, a line covers most of a bin.
+_QUANTILE = 0.15
+# Factors of the mean of exponentially distributed powers over their median, and over this quantile.
+_MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
+
+
+@dataclass(frozen=True)
+class Line:
+    """Significant maximum of a spectrum.
+
+    Attributes:
+        cycles: Frequency (y, x) [cycles over the field].
+        background: Power per coefficient of the background at this frequency.
+        exponent: Exponent p of the background, which decreases as the power −p of the frequency.
+        excess: Power of the line above the background.
+    """
+
+    cycles: NDArray[np.float64]
+    background: float
+    exponent: float
+    excess: float
+
+    def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Background at frequencies near the line [cycles], which are broadcast."""
+        along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
+        return self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent
+
+
+class WindowedSpectrum:
+    """Power spectrum of heights (ny, nx) with a Hann window, with the zero frequency in the centre.
+
+    Attributes:
+        power: Powers, shape (ny, nx); 1 for white noise of variance 1.
+        centre: Index of the zero frequency.
+    """
+
+    def __init__(self, heights: NDArray[np.float64]) -> None:
+        from scipy import fft
+
+        windows = [np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in heights.shape]
+        scale = math.prod(float(np.sum(window**2)) for window in windows)
+        spectrum = fft.fft2(heights * windows[0][:, None] * windows[1])
+        self.power = np.fft.fftshift(spectrum.real**2 + spectrum.imag**2) / scale
+        self.centre = tuple(n // 2 for n in heights.shape)
+
+    @property
+    def _cycles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Cycles of the rows, shape (ny, 1), and of the columns, shape (1, nx)."""
+        ny, nx = self.power.shape
+        return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
+
+    def excess(self, line: Line, radius: float) -> float:
+        """Power above the background within ``radius`` cycles around a line."""
+        rows, columns = self._window(line.cycles, radius)
+        power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])]
+        rows, columns = rows[:, None], columns[None, :]
+        inside = np.hypot(rows - line.cycles[0], columns - line.cycles[1]) <= radius
+        return float(np.sum((power - line.background_at(rows, columns))[inside]))
+
+    def around(self, cycles: NDArray[np.float64]) -> float:
+        """Power within the main lobe around a frequency."""
+        place = self._place(cycles)
+        return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
+
+    def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
+        """Return the narrow line at a frequency, or None; it need not be significant among all frequencies."""
+        return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes)
+
+    def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
+        """Index of the coefficient next to a frequency."""
+        row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
+        return row, column
+
+    @staticmethod
+    def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
+        """Slices of the main lobe of the window around a coefficient."""
+        return tuple(slice(max(i - 2, 0), i + 3) for i in place)
+
+    def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+        """Frequency of the largest power within ``radius`` cycles around another frequency."""
+        rows, columns = self._window(cycles, radius)
+        power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])].copy()
+        power[np.hypot(rows[:, None] - cycles[0], columns[None, :] - cycles[1]) > radius] = 0.0
+        row, column = np.unravel_index(int(np.argmax(power)), power.shape)
+        return np.array([float(rows[row]), float(columns[column])])
+
+    def _window(self, cycles: NDArray[np.float64], radius: float) -> list[NDArray[np.int64]]:
+        """Rows and columns within ``radius`` cycles around a frequency."""
+        return [
+            np.arange(max(math.ceil(c - radius), -centre), min(math.floor(c + radius) + 1, n - centre))
+            for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
+        ]
+
+    def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
+        """Return the significant line of the largest power outside of a mask of the shape of ``power``, or None.
+
+        Args:
+            excluded: Coefficients that are not searched.
+            sizes: Extents of the field along y and x.
+        """
+        white = self.power / self._coarse_background(sizes)
+        rows, columns = self._cycles
+        ny, nx = self.power.shape
+        half = (columns > 0) | ((columns == 0) & (rows > 0))
+        supported = (np.abs(rows) <= 0.5 * OF_NYQUIST * ny) & (np.abs(columns) <= 0.5 * OF_NYQUIST * nx)
+        allowed = half & supported & ~excluded
+        lines = (self._strongest_of_width(white, allowed, width, sizes) for width in _WIDTHS)
+        return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
+
+    def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Background by quantiles over rings and sectors, and along both axes, where steps between lines have power."""
+        rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
+        # Cycles over the longer side.
+        frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
+        ring = np.floor(_RINGS * np.log2(frequency)).astype(np.int32)
+        angle = np.arctan2(rows, columns)
+        sector = np.floor((_SECTORS / np.pi) * angle).astype(np.int32) % _SECTORS
+        count, is_plane = int(ring.max()) + 1, min(self.power.shape) > 1
+        # One half plane suffices, and of high frequencies a part.
+        subset = np.broadcast_to(columns >= 0 if self.power.shape[1] > 1 else rows >= 0, self.power.shape)
+        step = self.power.size // _MOST_SAMPLED
+        if step > 1:
+            sampled = (np.arange(self.power.size) % step == 0).reshape(self.power.shape)
+            subset = subset & ((frequency < _FEW_CYCLES) | sampled)
+        power, rings, sectors = self.power[subset], ring[subset], sector[subset]
+        by_ring = _ring_background(power, rings, count, reach=_RINGS // 2 if is_plane else _RINGS)
+        result = by_ring[ring]
+        if not is_plane:
+            return np.maximum(result, 1e-300)
+        by_sector = np.stack(
+            [
+                _ring_background(power[sectors == s], rings[sectors == s], count, reach=_RINGS // 2)
+                for s in range(_SECTORS)
+            ]
+        )
+        result = np.maximum(result, by_sector[sector, ring])
+        for axis in (0, 1):
+            for offset in (-1, 0, 1):
+                line = (slice(None),) * axis + (self.centre[axis] + offset,)
+                along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
+                result[line] = np.maximum(result[line], along[ring[line]])
+        return np.maximum(result, 1e-300)
+
+    def _strongest_of_width(
+        self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
+    ) -> Line | None:
+        """Return the strongest significant line of the spectrum averaged over boxes."""
+        from scipy import ndimage, special
+
+        sides = tuple(width if n > 1 else 1 for n in white.shape)
+        if width > 1:
+            if min(n for n in white.shape if n > 1) < _LEAST_BOXES * width:
+                return None
+            white = ndimage.uniform_filter(white, sides, mode="wrap")
+        allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
+        # Neighbouring coefficients of a Hann window are correlated.
+        independent = math.prod(max(side / 1.5, 1.0) for side in sides)
+        level = _FALSE_ALARM / max(np.count_nonzero(allowed) / independent, 1.0)
+        around = tuple(min(n, side + 2) for n, side in zip(white.shape, sides, strict=True))
+        values = np.where(allowed & (white == ndimage.maximum_filter(white, around, mode="wrap")), white, 0.0)
+        best: Line | None = None
+        for _ in range(_MOST_CANDIDATES):
+            row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+            value = float(values[row, column])
+            # The coarse background only orders the maxima, and may contain the line itself.
+            if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
+                break
+            values[row, column] = 0.0
+            line = self._examined((int(row), int(column)), sides, independent, level, sizes)
+            if line is not None and (best is None or line.excess > best.excess):
+                best = line
+        return best
+
+    def _examined(
+        self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
+        sizes: NDArray[np.float64],
+    ) -> Line | None:  # fmt: skip
+        """Return the line in a box around a coefficient, if it is significant.
+
+        It must exceed the spectrum at lower and at higher frequencies of the same direction, and along any straight
+        line through it.
+        """
+        width = max(sides)
+        box = tuple(slice(max(i - side // 2, 0), i + side // 2 + 1) for i, side in zip(place, sides, strict=True))
+        power = self.power[box]
+        mean = float(np.mean(power))
+        cycles = np.array([float(i - c) for i, c in zip(place, self.centre, strict=True)])
+        medians, distances, count = self._of_same_direction(cycles, width, sizes)
+        if not count or not _is_significant(mean / max(medians), independent, count, level, width):
+            return None
+        rows, columns = (
+            np.arange(part.start, part.start + n) - centre
+            for part, n, centre in zip(box, power.shape, self.centre, strict=True)
+        )
+        weight = np.maximum(power - max(medians), 0.0)
+        centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
+        if min(self.power.shape) > 1:
+            ratio, inside, outside = self._over_ridge(centroid, mean, width)
+            if not _is_significant(ratio, inside, outside, level, width):
+                return None
+        exponent = 0.0
+        if len(medians) == 2:
+            exponent = math.log(medians[0] / medians[1]) / math.log(distances[1] / distances[0])
+            exponent = min(max(exponent, _EXPONENTS[0]), _EXPONENTS[1])
+        background = medians[0] * distances[0] ** exponent
+        # All power of a narrow line is within the main lobe.
+        lobe = self.power[self._main_lobe(place)] if width == 1 else power
+        return Line(centroid, background, exponent, float(np.sum(lobe - background)))
+
+    def _of_same_direction(
+        self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
+    ) -> tuple[list[float], list[float], int]:
+        """Return the background at lower and at higher frequencies of the same direction.
+
+        Also return their distances from the zero frequency relative to that of the line, and the number of their
+        coefficients, 0 if there are no lower ones.
+        """
+        vector = cycles / sizes
+        length = float(np.hypot(*vector))
+        unit = vector / length
+        # Distances of neighbouring coefficients along the wave vector and across.
+        along = 1.0 / float(np.max(np.abs(unit) * sizes))
+        across = 1.0 / float(np.max(np.abs(unit[::-1]) * sizes))
+        gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
+        reach = max(_STRIP * length, 2.5 * across) if min(self.power.shape) > 1 else 0.0
+        lowest = max(min(0.5 * length, length - gap - 1.5 * along), 0.8 * along)
+        most = _HIGHEST[0 if reach else 1]
+        medians, distances, total = [], [], 0
+        for low, high in (
+            (lowest, min(0.8 * length, length - gap)),
+            (max(1.25 * length, length + gap), max(most * length, length + gap + 3.0 * along)),
+        ):
+            if high >= low:
+                t = np.linspace(low, high, min(int((high - low) / along) + 1, _MOST_ALONG))
+            else:
+                t = np.array([high]) if high >= 0.8 * along else np.zeros(0)
+            values = self._on_grid(t, np.linspace(-reach, reach, min(2 * int(reach / across) + 1, 15)), unit, sizes)
+            if values.size:
+                medians.append(max(_MEAN_OF_MEDIAN * float(np.median(values)), 1e-300))
+                distances.append(float(np.mean(t)) / length)
+                total += values.size
+            elif not total:
+                break
+        return medians, distances, total
+
+    def _on_grid(
+        self, along: NDArray[np.float64], across: NDArray[np.float64], unit: NDArray[np.float64],
+        sizes: NDArray[np.float64],
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Return the distinct powers at distances along a unit vector (y, x) and across."""
+        ny, nx = self.power.shape
+        vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
+        row, column = (
+            np.round(vector * size).astype(np.int64) + centre
+            for vector, size, centre in zip(vectors, sizes, self.centre, strict=True)
+        )
+        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+        return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
+
+    def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
+        """Return the smallest power of a maximum relative to the rest of a straight line through it.
+
+        Also return the numbers of independent coefficients of both. Grinding marks and steps between scan lines make
+        ridges in the spectrum, which noise covers with maxima.
+        """
+        core = 0.5 * (width - 1) + _MAIN_LOBE
+        reach = int(core + max(9, width // 2))
+        rows, columns = (np.arange(round(float(c)) - reach, round(float(c)) + reach + 1) for c in cycles)
+        ny, nx = self.power.shape
+        power = self.power[np.ix_((rows + self.centre[0]) % ny, (columns + self.centre[1]) % nx)]
+        dy, dx = np.meshgrid(rows - cycles[0], columns - cycles[1], indexing="ij")
+        distance = np.hypot(dy, dx)
+        outside, inside = (distance > core) & (distance <= reach), distance <= 0.5 * (width - 1)
+        order = np.argsort(power[outside])
+        rest, peak = power[outside][order], power[inside]
+        shifts = np.array([-0.7, 0.0, 0.7])[:, None, None]
+        on_rest, on_peak = (
+            np.abs(dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES - shifts) <= 0.6
+            for mask in (outside, inside)
+        )
+        # Medians of the sorted powers along each line, all at once.
+        number = np.cumsum(on_rest[:, order], axis=1, dtype=np.int32)
+        middle = np.argmax(2 * number >= number[:, -1:], axis=1)
+        medians = np.maximum(_MEAN_OF_MEDIAN * rest[middle], 1e-300)
+        counts = np.sum(on_peak, axis=1)
+        tops = np.where(counts > 0, np.einsum("spf,p->sf", on_peak, peak) / np.maximum(counts, 1), mean)
+        if width == 1:
+            tops, counts = np.full_like(medians, mean), np.zeros_like(counts)
+        least = np.unravel_index(int(np.argmin(tops / medians)), medians.shape)
+        return float(tops[least] / medians[least]), max(float(counts[least]) / 1.5, 1.0), int(number[:, -1][least])
+
+
+def _is_significant(ratio: float, independent: float, background_count: float, level: float, width: int) -> bool:
+    """Whether noise exceeds its background by a ratio with a probability below ``level``.
+
+    Powers are distributed exponentially, and the background is itself an estimate from few of them.
+    """
+    from scipy import special
+
+    few = max(0.5 * background_count, 1.0)
+    # Survival function of Fisher's F distribution.
+    probability = special.betainc(few, independent, few / (few + independent * ratio))
+    return bool(probability <= level and (width == 1 or ratio >= _LEAST_CONTRAST))
+
+
+def _ring_background(
+    power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
+) -> NDArray[np.float64]:
+    """Estimate the mean power of each ring from a quantile over ``reach`` rings on both sides.
+
+    Rings without any coefficient take interpolated values.
+    """
+    order = np.argsort(ring, kind="stable")
+    power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))
+    result = np.full(count, np.nan)
+    for i in range(count):
+        part = power[begin[max(i - reach, 0)] : begin[min(i + reach + 1, count)]]
+        if part.size:
+            rank = int(_QUANTILE * part.size)
+            result[i] = _MEAN_OF_QUANTILE * float(np.partition(part, rank)[rank])
+    known = np.flatnonzero(~np.isnan(result))
+    return np.interp(np.arange(count), known, result[known]) if known.size else np.zeros(count)
