@@ -50,6 +50,7 @@ def test_floating_point_files_are_in_micrometres(tmp_path: Path, suffix: str) ->
     assert field.pitch_um == (0.1, 0.2)
 
 
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("suffix", ["pfm", "tif", "bmp", "png"])
 def test_rows_of_images_go_down_in_every_format(tmp_path: Path, suffix: str) -> None:
     samples = np.arange(12, dtype=np.float32 if suffix in ("pfm", "tif") else np.uint8).reshape(3, 4)
@@ -61,6 +62,8 @@ def test_rows_of_images_go_down_in_every_format(tmp_path: Path, suffix: str) -> 
     np.testing.assert_allclose(up.heights_um, samples[::-1])
 
 
+# Large steps of integer heights, and a pitch that suits them, make the rows easy to compare.
+@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("order", "<>")
 def test_pfm_stores_the_bottom_row_first(tmp_path: Path, order: str) -> None:
     heights = np.arange(6, dtype=f"{order}f4").reshape(3, 2)

@@ -221,11 +221,11 @@ class HeightField:
 
         Examples:
             >>> from types import SimpleNamespace
-            >>> scan = SimpleNamespace(  # as SurfaceTopography.Topography(heights, (2.0, 4.0), unit="nm")
-            ...     heights=lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), physical_sizes=(2.0, 4.0), unit="nm", dim=2
+            >>> scan = SimpleNamespace(  # as SurfaceTopography.Topography(heights, (1.0, 2.0), unit="um")
+            ...     heights=lambda: np.array([[0.0, 0.1], [0.2, 0.3]]), physical_sizes=(1.0, 2.0), unit="um", dim=2
             ... )
             >>> wd.HeightField.from_topography(scan).pitch_um
-            (0.002, 0.001)
+            (1.0, 0.5)
         """
         content = topography_reader.content_of(topography)
         if content.pitch_um is None or not content.has_unit:

@@ -207,7 +207,9 @@ class HarmonicFit:
 
     def _places(self) -> list[NDArray[np.float64]]:
         """Coordinates of the samples along y and x, relative to the centre of the field [µm]."""
-        return [(np.arange(n) - n / 2.0) * step for n, step in zip(self.shape, self.pitch, strict=True)]
+        return [
+            (np.arange(n, dtype=np.float64) - n / 2.0) * step for n, step in zip(self.shape, self.pitch, strict=True)
+        ]
 
     def heights(self) -> NDArray[np.float64]:
         """Heights of all samples, shape (ny, nx), with the tilt, which the next fit would otherwise find as a wave."""
@@ -220,7 +222,7 @@ class HarmonicFit:
 
     def slopes(self) -> NDArray[np.float64]:
         """Derivatives of the wave by its phase at all samples [µm], shape (ny, nx)."""
-        return self._sum(1j * self.orders)
+        return self._sum(np.asarray(1j * self.orders, dtype=np.complex128))
 
     def _sum(self, factors: NDArray[np.complex128] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of the harmonics with complex factors, shape (ny, nx)."""

@@ -168,14 +168,14 @@ class _Search:
     def __init__(self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]) -> None:
         self.heights, self.known, self.sizes = heights, known, np.array(sizes)
         self.pitch = sizes[0] / heights.shape[0], sizes[1] / heights.shape[1]
-        self.excluded = np.zeros(heights.shape, dtype=bool)
+        self.excluded: NDArray[np.bool_] = np.zeros(heights.shape, dtype=bool)
         self.bands: list[tuple[NDArray[np.float64], float]] = []
         self.wavering: list[NDArray[np.float64]] = []
 
     @property
     def is_plane(self) -> bool:
         """Whether both axes have more than one sample."""
-        return min(self.heights.shape) > 1
+        return bool(min(self.heights.shape) > 1)
 
     def strongest(self, count: int) -> list[_Wave]:
         """Return at most ``count`` waves."""
@@ -374,13 +374,13 @@ class _Search:
 
     def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
         """Exclude a band around a frequency and the opposite one from the further search."""
+        ny, nx = self.excluded.shape
         for centre in (cycles, -cycles):
             rows, columns = (
                 np.arange(max(math.ceil(c - radius), -(n // 2)), min(math.floor(c + radius) + 1, n - n // 2))
-                for c, n in zip(centre, self.excluded.shape, strict=True)
+                for c, n in zip(centre, (ny, nx), strict=True)
             )
             inside = np.hypot(rows[:, None] - centre[0], columns[None, :] - centre[1]) <= radius
-            ny, nx = self.excluded.shape
             self.excluded[np.ix_(rows + ny // 2, columns + nx // 2)] |= inside
 
 

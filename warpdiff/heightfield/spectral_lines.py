@@ -72,7 +72,7 @@ class Line:
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Background at frequencies near the line [cycles], which are broadcast."""
         along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
-        return self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent
+        return np.asarray(self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent)
 
 
 class WindowedSpectrum:
@@ -175,7 +175,7 @@ class WindowedSpectrum:
         by_ring = _ring_background(power, rings, count, reach=_RINGS // 2 if is_plane else _RINGS)
         result = by_ring[ring]
         if not is_plane:
-            return np.maximum(result, 1e-300)
+            return np.asarray(np.maximum(result, 1e-300))
         by_sector = np.stack(
             [
                 _ring_background(power[sectors == s], rings[sectors == s], count, reach=_RINGS // 2)
@@ -188,7 +188,7 @@ class WindowedSpectrum:
                 line = (slice(None),) * axis + (self.centre[axis] + offset,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
                 result[line] = np.maximum(result[line], along[ring[line]])
-        return np.maximum(result, 1e-300)
+        return np.asarray(np.maximum(result, 1e-300))
 
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
