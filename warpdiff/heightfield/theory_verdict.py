@@ -144,7 +144,8 @@ def verdict_on(
         energy_sum: Sum of Stam's efficiencies over the orders of a call, relative to the reflectance of a flat surface;
             None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
     """
-    errors = dict(_cached(_errors, heightfield, wavelength_nm, errors_of))
+    estimates = _cached(_errors, heightfield, wavelength_nm, errors_of)
+    errors = dict(estimates)
     if energy_sum is not None:
         deviation = abs(energy_sum - 1.0)
     else:
