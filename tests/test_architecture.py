@@ -138,6 +138,8 @@ for name in ("BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficie
 """
 
 
+# Slow: the test starts processes that import all modules and compile.
+@pytest.mark.slow
 def test_every_public_name_can_be_called_after_all_modules_are_imported():
     names = [name for name in SOURCES if name != "warpdiff.__main__"]
     run(sys.executable, "-c", f"import {', '.join(names)}\n{CALLS}")

@@ -131,6 +131,8 @@ wd.Coherence("centerd")  # wrong literal
 """
 
 
+# Slow: type checkers read the whole package.
+@pytest.mark.slow
 @pytest.mark.parametrize("checker", ["mypy", "pyright"])
 def test_type_checkers_report_misspelt_options(checker, tmp_path):
     command = shutil.which(checker, path=str(Path(sys.executable).parent))

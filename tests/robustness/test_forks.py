@@ -95,12 +95,16 @@ def save_on_both_sides_of_forks(folder):
         assert childs.stat().st_size == parents.stat().st_size
 
 
+# Slow: the test starts processes that import all modules and compile.
+@pytest.mark.slow
 def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
     """The test runs in a separate process, because other tests may have started OpenEXR's threads in this one."""
     code = "import sys, test_forks as t; t.save_on_both_sides_of_forks(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
 
+# Slow: the test starts processes that import all modules and compile.
+@pytest.mark.slow
 def test_a_child_may_be_the_first_to_render():
     """Fork before any kernel is loaded, and let the child fork as well."""
     code = (
@@ -112,7 +116,9 @@ def test_a_child_may_be_the_first_to_render():
 
 
 # For start methods that begin with a fresh interpreter, a pool of one process suffices.
-@pytest.mark.parametrize(("method", "processes"), [("fork", 2), ("spawn", 1), ("forkserver", 1)])
+@pytest.mark.parametrize(
+    ("method", "processes"), [("fork", 2), pytest.param("spawn", 1, marks=pytest.mark.slow), ("forkserver", 1)]
+)
 def test_pools_of_any_start_method_render_the_same_pictures(method, processes):
     angles = (0.0, 0.3)
     expected = [picture(angle) for angle in angles]
@@ -175,6 +181,8 @@ assert t.in_child(lambda: t.picture().any()) == 0
 """
 
 
+# Slow: the test starts processes that import all modules and compile.
+@pytest.mark.slow
 def test_a_child_of_a_process_that_compiles_must_be_spawned():
     subprocess.run([sys.executable, "-c", _WHILE_COMPILING], cwd=HERE, check=True, timeout=_MOST_S)
 
@@ -232,6 +240,8 @@ def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 
+# Slow: the test starts processes that import all modules and compile.
+@pytest.mark.slow
 def test_a_fork_waits_for_imports_and_kernels():
     """Fork while another thread imports packages and loads kernels."""
     code = (

@@ -109,7 +109,9 @@ else:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not report free memory")
 @pytest.mark.parametrize(
-    "code", [LARGE, JUST, UNFORESEEN], ids=["large", "just too large, and just not", "not foreseen"]
+    "code",
+    [pytest.param(LARGE, marks=pytest.mark.slow), JUST, UNFORESEEN],
+    ids=["large", "just too large, and just not", "not foreseen"],
 )
 def test_requests_larger_than_memory_are_refused_at_once(code, tmp_path):
     done = subprocess.run(

@@ -124,7 +124,7 @@ class HeightField:
 
         Suffix and content select the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, text, ``.x3p``, files of
         instruments (extra ``scans``), and a grey image in any format of OpenImageIO for every other suffix.
-        :func:`warpdiff.heightfield.readers.register_reader` adds readers.
+        :func:`~warpdiff.heightfield.readers.reader_registry.register_reader` adds readers.
 
         Size, pitch, unit, missing samples and metadata come from the file if it states them. Integer samples have no
         unit: the largest value of their type (255 or 65535) is the height ``height_range_um``, even if the file does
