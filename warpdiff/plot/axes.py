@@ -19,6 +19,8 @@ LINE_STYLES = ("-", "--", ":", "-.")
 FAINT, MISSING = "0.85", "0.75"
 # Largest length of a scale bar, as a share of the width of the plot. Limit: it is a mark, not an axis.
 _LONGEST_BAR = 0.25
+# Length of the longer side of a map in a new figure [inches].
+_MAP_INCHES = 4.3
 # Mantissas of the lengths of scale bars.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)
 # Height range [µm] from which heights are shown in µm, and nanometres per micrometre.
@@ -86,24 +88,41 @@ def add_scale_bar(ax: Axes, width_um: float) -> None:
         ax: Axes whose x axis is in µm.
         width_um: Width of the map [µm].
     """
-    from matplotlib.patches import Rectangle
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
     length = round_length(_LONGEST_BAR * width_um)
     unit, factor = length_unit(length)
-    share, left, bottom, thickness, margin = length / width_um, 0.045, 0.05, 0.014, 0.02
-    text = ax.text(
-        left + 0.5 * share, bottom + thickness + 0.012, f"{factor * length:g} {unit}", transform=ax.transAxes,
-        ha="center", va="bottom", fontsize="medium", color="black", zorder=5,
+    bar = AnchoredSizeBar(
+        ax.transData, length, f"{factor * length:g} {unit}", "lower left", pad=0.4, borderpad=0.7, sep=4.0,
+        frameon=True, color="black", size_vertical=0.012 * width_um, label_top=True,
     )  # fmt: skip
-    # The box behind bar and text must be as wide as the wider of both.
-    half = max(0.5 * share, 0.058)
-    ax.add_patch(
-        Rectangle(
-            (left + 0.5 * share - half - margin, bottom - margin), 2.0 * (half + margin), thickness + 0.105,
-            transform=ax.transAxes, facecolor="white", alpha=0.85, linewidth=0.0, zorder=4,
-        )
-    )  # fmt: skip
-    ax.add_patch(
-        Rectangle((left, bottom), share, thickness, transform=ax.transAxes, color="black", linewidth=0.0, zorder=5)
-    )
-    text.set_clip_on(False)
+    bar.patch.set(alpha=0.85, linewidth=0.0)
+    ax.add_artist(bar)
+
+
+def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither") -> Any:
+    """Draw a colour bar to the right of a map, as high as the map, and return it.
+
+    Args:
+        ax: Axes of the map.
+        picture: Picture of ``ax.imshow``.
+        label: Quantity with its unit.
+        extend: Ends of the bar beyond which values exist, as matplotlib names them.
+    """
+    bar = ax.figure.colorbar(picture, cax=ax.inset_axes((1.025, 0.0, 0.045, 1.0)), extend=extend)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+    return bar
+
+
+def map_size(extent_y: float, extent_x: float) -> tuple[float, float]:
+    """Return width and height of a map [inches] for the extents of its axes."""
+    ratio = min(max(extent_y / extent_x, 0.25), 4.0)
+    return (_MAP_INCHES, _MAP_INCHES * ratio) if ratio <= 1.0 else (_MAP_INCHES / ratio, _MAP_INCHES)
+
+
+def outlined(colour: str = "white", behind: str = "black") -> dict[str, Any]:
+    """Return matplotlib's keywords of a text that is legible on any colour."""
+    from matplotlib.patheffects import withStroke
+
+    return {"color": colour, "path_effects": [withStroke(linewidth=2.0, foreground=behind)]}

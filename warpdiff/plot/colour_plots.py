@@ -13,7 +13,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import MOST_STOPS, Display, to_srgb
 from warpdiff.image.image import Image
-from warpdiff.plot.axes import axes_for
+from warpdiff.plot.axes import axes_for, outlined
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
@@ -96,26 +96,25 @@ def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
 
     for angle in _CIRCLES_DEG:
         radius = math.sin(math.radians(angle))
-        ax.add_patch(Circle((0.0, 0.0), radius, fill=False, edgecolor="white", linewidth=0.7, alpha=0.55))
-        ax.text(
-            radius * math.cos(math.radians(45.0)), radius * math.sin(math.radians(45.0)), f"{angle:g}°", color="white",
-            fontsize="small", ha="center", va="center", alpha=0.9,
-        )  # fmt: skip
+        ax.add_patch(Circle((0.0, 0.0), radius, fill=False, edgecolor="white", linewidth=0.7, alpha=0.6))
+        place = radius * math.sqrt(0.5)
+        ax.text(place, place, f"{angle:g}°", fontsize="small", ha="center", va="center", **outlined())
     ax.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor="0.3", linewidth=1.0))
+    ax.text(0.735, 0.735, "90°", fontsize="small", ha="left", va="bottom")
     if light is not None:
-        ax.plot(-light[0], -light[1], "+", color="white", markersize=14.0, markeredgewidth=2.6)
-        ax.plot(-light[0], -light[1], "+", color="black", markersize=13.0, markeredgewidth=1.2)
+        ax.plot(-light[0], -light[1], "+", color="black", markersize=15.0, markeredgewidth=3.2)
+        ax.plot(-light[0], -light[1], "+", color="white", markersize=13.0, markeredgewidth=1.4)
         ax.annotate(
-            "mirror direction", (-light[0], -light[1]), xytext=(8, -12), textcoords="offset points", color="white",
-            fontsize="small",
+            "mirror direction", (-light[0], -light[1]), xytext=(8, -13), textcoords="offset points", fontsize="small",
+            **outlined(),
         )  # fmt: skip
     ax.set_xlim(-1.02, 1.02)
     ax.set_ylim(-1.02, 1.02)
     ax.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
     ax.set_yticks([-1.0, -0.5, 0.0, 0.5, 1.0])
     ax.spines[:].set_visible(False)
-    ax.set_xlabel("view direction, x component (sin θ cos φ)")
-    ax.set_ylabel("view direction, y component (sin θ sin φ)")
+    ax.set_xlabel("x component of the view direction")
+    ax.set_ylabel("y component of the view direction")
 
 
 @checked

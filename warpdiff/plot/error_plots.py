@@ -9,7 +9,7 @@ from annotated_types import Gt
 
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.image.image import Image  # noqa: TC001 (the decorator checks its instances)
-from warpdiff.plot.axes import FAINT, LINE_COLOURS, axes_for
+from warpdiff.plot.axes import FAINT, LINE_COLOURS, add_colour_bar, axes_for, map_size
 from warpdiff.request.plan import Plan  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.request.signatures import checked
 
@@ -57,7 +57,9 @@ def error_image(
                 f"{ref('tolerance')} is required for a picture from a file, got None: give the tolerance to mark"
             )
         tolerance = image.report.tolerance
-    ax = axes_for(ax, width=6.4, height=4.4)
+    rows, columns = image.mask.shape
+    width, height = map_size(rows, columns)
+    ax = axes_for(ax, width=1.25 * width + 2.0, height=1.25 * height + 0.9)
     from matplotlib.colors import LogNorm
 
     shown = np.ma.masked_where(~image.illuminated, np.maximum(image.error, 1e-30))
@@ -68,8 +70,7 @@ def error_image(
     ax.set_facecolor(FAINT)
     ax.set_xlabel("column of pixels")
     ax.set_ylabel("row of pixels")
-    bar = ax.figure.colorbar(picture, ax=ax, shrink=0.9, pad=0.02, extend="both")
-    bar.set_label("estimated relative error")
+    bar = add_colour_bar(ax, picture, "estimated relative error", extend="both")
     bar.ax.axhline(tolerance, color="black", linewidth=1.6)
     bar.ax.annotate(
         f"tolerance {tolerance:g}", (0.5, tolerance), xycoords=("axes fraction", "data"), xytext=(0, 3),
@@ -115,9 +116,10 @@ def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axe
     for index, value in enumerate(values):
         text = f"{value:.1e}" if value > 0.0 else "0"
         ax.annotate(
-            text, (max(value, least), index), xytext=(4, 0), textcoords="offset points", va="center", fontsize="small"
-        )
-    ax.axvline(plan.tolerance, color=LINE_COLOURS[1], linewidth=1.8, linestyle="--")
+            text, (max(value, least), index), xytext=(5, 0), textcoords="offset points", va="center", fontsize="small",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        )  # fmt: skip
+    ax.axvline(plan.tolerance, zorder=0.9, color=LINE_COLOURS[1], linewidth=1.8, linestyle="--")
     ax.annotate(
         f"tolerance {plan.tolerance:g}", (plan.tolerance, 1.0), xycoords=ax.get_xaxis_transform(), xytext=(4, -2),
         textcoords="offset points", color=LINE_COLOURS[1], va="top", fontsize="small",
@@ -144,5 +146,5 @@ def _seconds(value: float) -> str:
     """Return a time with two digits in a suitable unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if value >= size:
-            return f"{value / size:.2g} {unit}"
+            return f"{float(f'{value / size:.2g}'):g} {unit}"
     return f"{value / 1e-9:.2g} ns"

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
+# Largest luminance of a coloured line on white, whose luminance is 1.
+_LINE_LUMINANCE = 0.3
 Against = Literal["wavelength", "angle"]
 
 
@@ -165,7 +167,9 @@ def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> s
         )  # fmt: skip
     ax.set_xlabel("wavelength [nm]")
     ax.margins(x=0.0)
-    ax.legend(title="order", frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _add_colours(ax)
+    kind = "order (y, x)" if result.orders.any(axis=0).all() else "order"
+    ax.legend(title=kind, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     total = len(result.orders)
     return "Efficiency of the orders" + (f", the {count} strongest of {total}" if total > count else "")
 
@@ -204,7 +208,7 @@ def _name(result: OrderEfficiencies, column: int) -> str:
     m_y, m_x = result.orders[column].tolist()
     both = result.orders.any(axis=0)
     if both.all():
-        return f"({m_y}, {m_x})"
+        return f"({m_y}, {m_x})".replace("-", "−")
     return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"
 
 
@@ -220,5 +224,6 @@ def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
     if not colorimetry.LAMBDA_MIN_NM <= wavelength_nm <= colorimetry.LAMBDA_MAX_NM:
         return np.full(3, 0.45)
     xyz = colorimetry.colour_products("D65")[round(wavelength_nm) - colorimetry.LAMBDA_MIN_NM]
-    # The luminance is the same for all wavelengths: that of a dark colour.
-    return to_srgb(0.18 * xyz / max(float(xyz[1]), 1e-9), "colorimetric", exposure=1.0)
+    rgb = np.clip(colorimetry.xyz_to_rgb(xyz), 0.0, None)
+    luminance = float(colorimetry.rgb_to_xyz(rgb)[1])
+    return colorimetry.srgb_encode(rgb * min(1.0 / rgb.max(), _LINE_LUMINANCE / luminance))

@@ -11,7 +11,16 @@ from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import Axis, HeightField  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.heightfield.spectral_lines import WindowedSpectrum
-from warpdiff.plot.axes import LINE_COLOURS, MISSING, add_scale_bar, axes_for, clean_grid, length_unit
+from warpdiff.plot.axes import (
+    LINE_COLOURS,
+    MISSING,
+    add_colour_bar,
+    add_scale_bar,
+    axes_for,
+    clean_grid,
+    length_unit,
+    map_size,
+)
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
@@ -23,9 +32,15 @@ if TYPE_CHECKING:
 # Share of the power of a spectrum that its plot contains. Limit: the highest frequencies contain noise only.
 _SHOWN_POWER = 0.999
 # Frequency range of a spectrum relative to its highest period, so that marks are not at the edge.
-_AROUND_PERIODS = 2.0
-# Ratio of the smallest to the largest power in the colours of a spectrum.
-_POWER_RANGE = 1e-7
+_AROUND_PERIODS = 1.4
+# Share of the frequencies whose power is below the range of the colours, and the smallest range, a ratio of powers.
+_DARKEST, _POWER_RANGE = 0.3, 1e-2
+# Ratio of the smallest power in the plot of a profile's spectrum to the largest one.
+_LINE_RANGE = 1e-7
+# Heights of a profile below a map, and of the gap between both, relative to the width of the map.
+_PROFILE, _GAP = 0.3, 0.2
+# Smallest power density, which prevents logarithms of 0.
+_LEAST_POWER = 1e-30
 # Markers of periods, from the strongest on.
 _MARKERS = "osD^vph*"
 
@@ -62,11 +77,13 @@ def height_map(
     """
     unit, factor = length_unit(heightfield.height_range_um)
     line = None if profile_along is None else _Line.of(heightfield, profile_along, at_um)
-    ax = axes_for(ax, width=5.6, height=4.8 if line is None else 6.4)
     (ly, lx), (ny, nx) = heightfield.size_um, heightfield.shape
     # A field that is constant along an axis has one sample there, and is drawn as a band.
     is_band = min(ny, nx) == 1 < max(ny, nx)
-    extent_y, extent_x = (lx / 3.0 if is_band and ny == 1 else ly), (ly / 3.0 if is_band and nx == 1 else lx)
+    extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
+    width, height = map_size(extent_y, extent_x)
+    below = 0.0 if line is None else (_PROFILE + _GAP) * width
+    ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
     picture = ax.imshow(
         factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
         cmap=_with_grey(cmap), interpolation="nearest", aspect="equal",
@@ -80,13 +97,11 @@ def height_map(
     ax.set_title(
         (f"Heights, {size}" + (f", {gaps} samples missing (grey)" if gaps else "")) if title is None else title
     )
-    bar = ax.figure.colorbar(picture, ax=ax, shrink=0.9, pad=0.02)
-    bar.set_label(f"height [{unit}]")
-    bar.outline.set_visible(False)
-    if nx > 1:
+    add_colour_bar(ax, picture, f"height [{unit}]")
+    if not is_band:
         add_scale_bar(ax, extent_x)
     if line is not None:
-        _add_profile(ax, line, unit, factor)
+        _add_profile(ax, line, unit, factor, extent_x / extent_y)
     return ax
 
 
@@ -181,7 +196,7 @@ def power_spectrum(
     ]  # fmt: skip
     name = f"{len(periods)} period{'s' * (len(periods) > 1)} marked" if periods else "no period"
     if min(levelled.shape) > 1:
-        ax = axes_for(ax, width=5.8, height=5.2)
+        ax = axes_for(ax, width=6.0, height=5.0)
         _draw_plane(ax, density, frequencies, periods, cmap)
     else:
         ax = axes_for(ax, width=6.4, height=3.6)
@@ -202,32 +217,37 @@ def _draw_plane(
 
     fy, fx = frequencies
     half = [0.5 * (f[1] - f[0]) for f in frequencies]
-    most = float(density.max()) or 1.0
-    picture = ax.imshow(
-        np.maximum(density, 1e-300), origin="lower", cmap=cmap, norm=LogNorm(_POWER_RANGE * most, most),
-        extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]), interpolation="nearest",
-    )  # fmt: skip
     radius = np.hypot(fy[:, None], fx[None, :]).ravel()
     order = np.argsort(radius)
     shares = np.cumsum(density.ravel()[order])
-    limit = float(radius[order][np.searchsorted(shares, _SHOWN_POWER * shares[-1])])
+    limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
     limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
+    shown = density.ravel()[radius <= limit]
+    most = max(float(shown.max()), _LEAST_POWER)
+    least = min(max(float(np.quantile(shown, _DARKEST)), _LEAST_POWER), _POWER_RANGE * most)
+    picture = ax.imshow(
+        np.maximum(density, least), origin="lower", cmap=cmap, norm=LogNorm(least, most), interpolation="nearest",
+        extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]),
+    )  # fmt: skip
     # Axes of equal length with few frequencies are drawn up to their ends.
     for set_limits, f, step in ((ax.set_xlim, fx, half[1]), (ax.set_ylim, fy, half[0])):
-        edge = min(limit, float(-f[0] + step))
+        edge = min(limit, float(step - f[0]))
         set_limits(-edge, edge)
     for index, period in enumerate(periods):
         qy, qx = period.frequency
         ax.plot(
             [qx, -qx], [qy, -qy], linestyle="", marker=_MARKERS[index % len(_MARKERS)], markersize=13.0,
-            markerfacecolor="none", markeredgecolor="#56B4E9", markeredgewidth=1.8, label=str(period),
+            markerfacecolor="none", markeredgecolor="#56B4E9", markeredgewidth=1.8, label=_words(period),
         )  # fmt: skip
     ax.set_facecolor("black")
     ax.set_xlabel("spatial frequency along x [1/µm]")
     ax.set_ylabel("spatial frequency along y [1/µm]")
-    bar = ax.figure.colorbar(picture, ax=ax, shrink=0.9, pad=0.02)
-    bar.set_label("power spectral density [µm⁴]")
-    bar.outline.set_visible(False)
+    add_colour_bar(ax, picture, "power spectral density [µm⁴]", extend="min")
+
+
+def _words(period: Period) -> str:
+    """Return the text of a period in a legend."""
+    return f"period {period}"
 
 
 def _draw_line(
@@ -236,11 +256,13 @@ def _draw_line(
     """Draw the spectrum of a field that is constant along an axis."""
     positive = frequencies > 0.0
     # The power at negative frequencies is added, so that the integral over positive ones is the variance.
-    ax.semilogy(frequencies[positive], 2.0 * np.maximum(density[positive], 1e-300), color=LINE_COLOURS[0])
+    ax.semilogy(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
     for index, period in enumerate(periods):
-        ax.axvline(float(np.hypot(*period.frequency)), color=LINE_COLOURS[1 + index], linestyle="--", label=str(period))
-    top = 2.0 * float(density.max()) or 1.0
-    ax.set_ylim(_POWER_RANGE * top, 3.0 * top)
+        ax.axvline(
+            float(np.hypot(*period.frequency)), color=LINE_COLOURS[1 + index], linestyle="--", label=_words(period)
+        )
+    top = 2.0 * max(float(density.max()), _LEAST_POWER)
+    ax.set_ylim(_LINE_RANGE * top, 3.0 * top)
     ax.margins(x=0.0)
     clean_grid(ax)
     ax.set_xlabel(f"spatial frequency along {axis} [1/µm]")
@@ -282,13 +304,13 @@ class _Line:
         return f"Profile along {self.along}" + ("" if self.at_um is None else f" at {other} = {self.at_um:.3g} µm")
 
 
-def _add_profile(ax: Axes, line: _Line, unit: str, factor: float) -> None:
-    """Draw a profile below a map, and its line in the map."""
+def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) -> None:
+    """Draw a profile below a map whose width is ``ratio`` times its height, and its line in the map."""
     if line.at_um is not None:
         draw = ax.axhline if line.along == "x" else ax.axvline
         draw(line.at_um, color="white", linewidth=2.4)
         draw(line.at_um, color="black", linewidth=1.2, linestyle="--")
-    below = ax.inset_axes((0.0, -0.62, 1.0, 0.36))
+    below = ax.inset_axes((0.0, -(_PROFILE + _GAP) * ratio, 1.0, _PROFILE * ratio))
     below.plot(line.positions_um, factor * line.heights_um, color=LINE_COLOURS[0])
     below.set_xlim(ax.get_xlim() if line.along == "x" else ax.get_ylim())
     below.set_xlabel(f"{line.along} [µm]")
