@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Ge
 
 from warpdiff.core import validation
+from warpdiff.core.angles import signed_angles_deg
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
@@ -210,13 +211,6 @@ def _name(result: OrderEfficiencies, column: int) -> str:
     if both.all():
         return f"({m_y}, {m_x})".replace("-", "−")
     return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"
-
-
-def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles of unit vectors (n, 3) from the normal [degrees], negative towards −x, or −y where x is 0."""
-    x, y = directions[:, 0], directions[:, 1]
-    sign = np.where((x < -1e-12) | ((np.abs(x) <= 1e-12) & (y < 0.0)), -1.0, 1.0)
-    return np.asarray(sign * np.degrees(np.arctan2(np.hypot(x, y), directions[:, 2])))
 
 
 def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
