@@ -96,11 +96,17 @@ class OrderEfficiencies:
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[..., np.all(self.orders == pair, axis=1)].sum(axis=-1))
 
-    def table(self) -> Table:
+    def table(self, count: int | None = None) -> Table:
         """Return a table with a row per light, wavelength and order that propagates.
 
         Its columns are the angles of the light and of the order from the normal (``theta``, 0 to 90) and around it from
         the x axis (``phi``, −180 to 180) in degrees, the wavelength, the numbers of the order, and its efficiency.
+
+        Args:
+            count: Number of orders of each light and wavelength, the strongest ones, at least 1; None is all.
+
+        Raises:
+            ValueError: ``count`` is less than 1.
 
         Examples:
             >>> grating = wd.gratings.sinusoidal(1.0, 0.1)
@@ -111,14 +117,20 @@ class OrderEfficiencies:
                           0              0            600    0    1           36.87             0    0.009...
         """
         lights, views = np.atleast_2d(self.to_light), self.to_view.reshape(-1, *self.to_view.shape[-3:])
-        light, wavelength, order = np.nonzero(~np.isnan(views[..., 0]))
+        values = self.efficiencies.reshape(views.shape[:-1])
+        lives = ~np.isnan(views[..., 0])
+        if count is not None:
+            # The rank of an order is its place among those of its light and wavelength, by decreasing efficiency.
+            strongest = np.argsort(np.where(lives, -values, np.inf), axis=-1, kind="stable")
+            lives &= np.argsort(strongest, axis=-1) < validation.count(count, "count")
+        light, wavelength, order = np.nonzero(lives)
         (light_theta, light_phi), (theta, phi) = angles_deg(lights), angles_deg(views[light, wavelength, order])
         return Table(
             {
                 "light_theta_deg": light_theta[light], "light_phi_deg": light_phi[light],
                 "wavelength_nm": self.wavelengths_nm[wavelength], "m_y": self.orders[order, 0],
                 "m_x": self.orders[order, 1], "view_theta_deg": theta, "view_phi_deg": phi,
-                "efficiency": self.efficiencies.reshape(views.shape[:-1])[light, wavelength, order],
+                "efficiency": values[light, wavelength, order],
             }
         )  # fmt: skip
 
