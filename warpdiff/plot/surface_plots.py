@@ -82,7 +82,7 @@ def height_map(
     is_band = min(ny, nx) == 1 < max(ny, nx)
     extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
     width, height = map_size(extent_y, extent_x)
-    below = 0.0 if line is None else (_PROFILE + _GAP) * width
+    below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
     picture = ax.imshow(
         factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
