@@ -222,6 +222,9 @@ def _draw_plane(
     shares = np.cumsum(density.ravel()[order])
     limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
     limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
+    if not limit > 0.0:
+        # The spectrum of a flat field has no power, and is drawn up to its ends.
+        limit = float(radius[order][-1])
     shown = density.ravel()[radius <= limit]
     most = max(float(shown.max()), _LEAST_POWER)
     least = min(max(float(np.quantile(shown, _DARKEST)), _LEAST_POWER), _POWER_RANGE * most)
@@ -325,6 +328,4 @@ def _with_grey(cmap: str) -> Any:
 
     if cmap not in mpl.colormaps:
         raise ArgumentValueError(f"{ref('cmap')} must be the name of a colour map of matplotlib, got {cmap!r}")
-    colours = mpl.colormaps[cmap].copy()
-    colours.set_bad(MISSING)
-    return colours
+    return mpl.colormaps[cmap].with_extremes(bad=MISSING)
