@@ -342,12 +342,10 @@ def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatc
 def test_interpolated_factors_serve_several_lights(monkeypatch):
     """With many orders, a light has no matrix of its own; the lower limit makes that so for this grating."""
     monkeypatch.setattr(energy_normalisation, "MOST_EXACT", 10)
-    heightfield, options = (
-        wd.gratings.sinusoidal(PERIOD, 0.3),
-        {"material": wd.Material.metal("Au"), "energy": "normalised"},
-    )
-    together = wd.order_efficiencies(heightfield, LIGHTS, 400.0, **options)
-    for number, light in enumerate(LIGHTS):
+    heightfield = wd.gratings.sinusoidal(PERIOD, 0.3)
+    options = {"material": wd.Material.metal("Au"), "energy": "normalised"}
+    together = wd.order_efficiencies(heightfield, LIGHTS[:2], 400.0, **options)
+    for number, light in enumerate(LIGHTS[:2]):
         single = wd.order_efficiencies(heightfield, light, 400.0, **options)
         np.testing.assert_allclose(together[0, 1][number], single[0, 1], rtol=1e-10)
 

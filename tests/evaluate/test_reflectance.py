@@ -135,12 +135,8 @@ def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
 
 
 def test_saved_spectra_have_the_values_of_the_spectral_reflectance(tmp_path):
-    grating, views, wavelengths = (
-        wd.gratings.sinusoidal(2.0, 0.2),
-        wd.direction([-15.0, 15.0], 40.0),
-        [250.0, 500.0, 560.0],
-    )
-    light = wd.direction(30.0, -140.0)
+    grating, wavelengths = wd.gratings.sinusoidal(2.0, 0.2), [250.0, 500.0, 560.0]
+    light, views = wd.direction(30.0, -140.0), wd.direction([-15.0, 15.0], 40.0)
     spectra = wd.reflectance_spectra(grating, light, views, wavelengths)
     values = wd.spectral_reflectance(grating, light, views, wavelengths)
     np.testing.assert_array_equal(spectra.values, values)

@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
+import warpdiff as wd
 from warpdiff.image import display_transform as transform
 from warpdiff.optics import colorimetry
 
@@ -151,7 +152,7 @@ def test_colours_within_the_gamut_are_those_of_the_standard(rng):
 
 
 @pytest.mark.parametrize("display", ["aces", "colorimetric", "clip"])
-def test_colours_of_an_array_are_those_of_a_picture(display, rng):
+def test_colours_of_an_array_are_those_of_a_picture(display):
     image = wd.reflectance_map(wd.gratings.sinusoidal(2.0, 0.1), (0, 0, 1), size=16, tolerance=0.3)
     shown = wd.to_srgb(image.xyz[image.mask], display)
     np.testing.assert_allclose(image.display(display)[image.mask][:, :3], shown, atol=2e-6)
@@ -159,7 +160,8 @@ def test_colours_of_an_array_are_those_of_a_picture(display, rng):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"xyz": [0.5, 0.5]}, r"xyz must have shape \(..., 3\), got \(2,\)"), ({"display": "srgb"}, "display must be one of"),
+    [({"xyz": [0.5, 0.5]}, r"xyz must have shape \(..., 3\), got \(2,\)"),
+     ({"display": "srgb"}, "display must be one of"),
      ({"exposure": 0.0}, "exposure must be"), ({"exposure_stops": 31.0}, "exposure_stops must be")],
 )  # fmt: skip
 def test_colours_and_settings_that_are_not_accepted_are_refused(arguments, message):

@@ -144,9 +144,7 @@ def test_a_height_field_is_evaluated_for_the_light(ax, monkeypatch, picture):
     assert calls == [((grating, (0.3, 0.2, 1.0)), {"size": 480})]
     with pytest.raises(ValueError, match="to_light is required with a height field, got None"):
         wd.plot.reflectance_map(grating, ax=ax)
-    with pytest.raises(
-        TypeError, match="source must be a warpdiff.HeightField or the picture of reflectance_map, got str"
-    ):
+    with pytest.raises(TypeError, match=r"source must be a warpdiff\.HeightField or the picture of .*, got str"):
         wd.plot.reflectance_map("scan.x3p", ax=ax)
 
 
