@@ -13,8 +13,11 @@ import warpdiff as wd
 skin = wd.gratings.fingers(size_um=25.6)
 skin.periods().save("periods.csv")
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-wd.plot.height_map(skin, ax=left, profile_along="x", at_um=2.0)
-wd.plot.power_spectrum(skin, ax=right)
+figure, axes = plt.subplot_mosaic(
+    [["map", "spectrum"], ["profile", "profile"]], figsize=(11, 7), height_ratios=(2.2, 1), layout="constrained"
+)
+wd.plot.height_map(skin, ax=axes["map"])
+wd.plot.power_spectrum(skin, ax=axes["spectrum"])
+wd.plot.profile(skin, ax=axes["profile"], along="x")
 figure.savefig("height_map_and_spectrum.png", dpi=100)
 plt.close(figure)

@@ -12,7 +12,6 @@ from warpdiff.core.angles import signed_angles_deg
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
-from warpdiff.image.display_transform import to_srgb
 from warpdiff.optics import colorimetry
 from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
 from warpdiff.request.signatures import checked
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
 _LINE_LUMINANCE = 0.3
 # Height of the band with the colours of the wavelengths, relative to the plot, and its number of colours.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
+# Smallest linear RGB that is used as a divisor; it prevents a division by zero.
+_LEAST_RGB = 1e-9
 Against = Literal["wavelength", "angle", "incidence"]
 
 
@@ -167,10 +168,9 @@ def _add_colours(ax: Axes) -> None:
     if first >= last:
         return
     wavelengths = np.linspace(first, last, _BAND_COLOURS)
-    products = colorimetry.colour_products("D65")
-    xyz = np.stack([np.interp(wavelengths, colorimetry.VISIBLE_NM, column) for column in products.T], axis=1)
-    # Bright enough for yellow and green; the ends of the visible range fade to black.
-    colours = to_srgb(xyz / products[:, 1].max(), "colorimetric", exposure=0.75)
+    rgb = _spectral_rgb(wavelengths)
+    # The root of the brightness fades more slowly to black at the ends of the visible range.
+    colours = colorimetry.srgb_encode(rgb / np.sqrt(np.maximum(rgb.max(axis=1, keepdims=True), _LEAST_RGB)))
     ax.imshow(
         colours[None], extent=(first, last, -_BAND_HEIGHT, 0.0), transform=ax.get_xaxis_transform(), aspect="auto",
         clip_on=False, interpolation="bilinear", zorder=3,
@@ -272,7 +272,12 @@ def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
     """Return a display colour for a wavelength, dark enough for lines on white; grey outside of the visible range."""
     if not colorimetry.LAMBDA_MIN_NM <= wavelength_nm <= colorimetry.LAMBDA_MAX_NM:
         return np.full(3, 0.45)
-    xyz = colorimetry.colour_products("D65")[round(wavelength_nm) - colorimetry.LAMBDA_MIN_NM]
-    rgb = np.clip(colorimetry.xyz_to_rgb(xyz), 0.0, None)
+    (rgb,) = _spectral_rgb(np.array([wavelength_nm]))
     luminance = float(colorimetry.rgb_to_xyz(rgb)[1])
     return colorimetry.srgb_encode(rgb * min(1.0 / rgb.max(), _LINE_LUMINANCE / luminance))
+
+
+def _spectral_rgb(wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the linear sRGB of visible wavelengths (m,), at most 1, without negative components, shape (m, 3)."""
+    rgb = np.clip(colorimetry.xyz_to_rgb(colorimetry.colour_products("D65")), 0.0, None)
+    return np.stack([np.interp(wavelengths_nm, colorimetry.VISIBLE_NM, channel) for channel in (rgb / rgb.max()).T], 1)
