@@ -28,6 +28,8 @@ _LINE_LUMINANCE = 0.3
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
 # Smallest linear RGB that is used as a divisor; it prevents a division by zero.
 _LEAST_RGB = 1e-9
+# Largest number of orders whose names are written next to them. Limit: more names overlap.
+_MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
 
@@ -241,13 +243,12 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
         colour = wavelength_colour(wavelength)
         ax.vlines(angles, 0.0, values, color=colour, linewidth=1.6)
         ax.plot(angles, values, "o", color=colour, markersize=5.0, label=None if many else f"{wavelength:g} nm")
-        if len(result.wavelengths_nm) == 1:
-            for column, angle, value in zip(np.flatnonzero(live), angles, values, strict=True):
-                if len(angles) <= 25:
-                    ax.annotate(
-                        _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points",
-                        ha="center", fontsize="small",
-                    )  # fmt: skip
+        if len(result.wavelengths_nm) == 1 and len(angles) <= _MOST_NAMED:
+            for column, angle, value in zip(np.flatnonzero(live).tolist(), angles, values, strict=True):
+                ax.annotate(
+                    _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points", ha="center",
+                    fontsize="small",
+                )  # fmt: skip
     ax.set_xlabel("angle of the order from the normal [°], negative towards −x")
     ax.set_xlim(-90.0, 90.0)
     ax.set_xticks(range(-90, 91, 30))
@@ -262,7 +263,7 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
 def _name(result: OrderEfficiencies, column: int) -> str:
     """Return the name of an order: its number, or both numbers for a surface with two axes."""
     m_y, m_x = result.orders[column].tolist()
-    both = result.orders.any(axis=0)
+    both = np.asarray(result.orders.any(axis=0))
     if both.all():
         return f"({m_y}, {m_x})".replace("-", "−")
     return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"

@@ -58,7 +58,7 @@ def height_map(
         heightfield: Height field.
         ax: Axes to draw into; None makes a figure.
         profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
-            space below it, or draw :func:`profile` into axes of its own.
+            space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
         at_um: Position of the profile on the other axis [µm]; None is the middle.
         cmap: Name of a colour map of matplotlib.
         title: Title; None states the size of the field.
@@ -298,7 +298,7 @@ class _Line:
             raise ArgumentValueError(f"{ref('at_um')} must be 0 to {size:.4g}, the size of the field, got {at_um:g}")
         index = count // 2 if at_um is None else min(round(at_um / pitch), count - 1)
         heights = heightfield.heights_um[index] if other == 0 else heightfield.heights_um[:, index]
-        positions = heightfield.pitch_um[1 - other] * np.arange(len(heights))
+        positions = heightfield.pitch_um[1 - other] * np.arange(len(heights), dtype=np.float64)
         return cls(along, positions, heights, index * pitch if count > 1 else None)
 
     @property
