@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from annotated_types import Ge
 
 from warpdiff.core import validation
 from warpdiff.core.angles import signed_angles_deg
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.evaluate.orders import OrderEfficiencies
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
 from warpdiff.optics import colorimetry
 from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
@@ -33,10 +32,9 @@ _MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
 
-@checked
 def orders(
-    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
-    count: Annotated[int, Ge(1)] = 7, title: str | None = None,
+    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None, count: int = 7,
+    title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the efficiencies of diffraction orders against the wavelength, the view angle or the incidence.
 
@@ -65,6 +63,14 @@ def orders(
         >>> axes.get_xlabel()
         'wavelength [nm]'
     """
+    if not isinstance(efficiencies, OrderEfficiencies):
+        raise ArgumentTypeError(
+            f"{ref('efficiencies')} must be the result of warpdiff.order_efficiencies, got "
+            f"{type(efficiencies).__name__}: call that function first"
+        )
+    count = validation.count(count, "count")
+    if against is not None:
+        validation.choice(against, "against", get_args(Against))
     has_lights = efficiencies.to_light.ndim > 1
     if against is None:
         against = "incidence" if has_lights else "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
