@@ -57,7 +57,11 @@ class Table:
             raise ArgumentTypeError(f"{ref('columns')} must be a dictionary of arrays, got {type(columns).__name__}")
         self._columns: dict[str, NDArray[Any]] = {}
         for name, values in columns.items():
-            column = np.array(values)
+            try:
+                column = np.array(values)
+            except (TypeError, ValueError):
+                # NumPy raises an error for rows of different lengths.
+                column = np.array(None)
             if column.dtype.kind not in "biufU":
                 raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")
             if column.ndim != 1:
