@@ -302,8 +302,9 @@ class WindowedSpectrum:
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (
-            np.round(vector * size).astype(np.int64) + centre
-            for vector, size, centre in zip(vectors, sizes, self.centre, strict=True)
+            # In a field of extreme aspect ratio, steps across exceed the range of integers.
+            np.clip(np.round(vector * size), -n, n).astype(np.int64) + centre
+            for vector, size, n, centre in zip(vectors, sizes, (ny, nx), self.centre, strict=True)
         )
         inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
