@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-# Synthetic height fields by their name on the command line: function of ``wd.gratings``, and default parameters.
+# Synthetic height fields by their name on the command line. Each has the name of a function of ``wd.gratings`` and
+# default arguments for it.
 GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
     "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
@@ -94,8 +95,8 @@ def _value(text: str) -> Any:
 
 
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
-    """Return the cleaned height field that the command names: a file or a synthetic grating."""
-    # Commands without a mesh accept it as a positional argument.
+    """Return the height field that the command line names, a file or a synthetic grating, after cleaning."""
+    # Commands that use no mesh accept the height field as a positional argument instead of a flag.
     text = options.scan if options.heightfield is None else options.heightfield
     made = _named(text, GRATINGS, wd.gratings, "heightfield")
     if made is None:
@@ -140,7 +141,7 @@ def coherence_of(options: argparse.Namespace) -> Coherence | None:
 
 
 def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
-    """Return the evaluation settings from the flags by name, including material and coherence."""
+    """Return the keyword arguments of an evaluation that the flags set, including ``material`` and ``coherence``."""
     return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
 
 
@@ -259,7 +260,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
-    """Return mesh, height field and view of a picture. With ``turning``, the view fits the mesh at every rotation."""
+    """Return mesh, height field and view. With ``turning``, the whole mesh stays in view while it rotates."""
     heightfield = height_field_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh

@@ -90,7 +90,8 @@ class Flags:
         chosen = [
             option for option in options.values() if (option.kind != "object" if only is None else option.name in only)
         ]
-        # All flags get their names before any help text is written, because one help text may name another option.
+        # The names of all flags are stored before any help text is written, because one help text may mention another
+        # flag.
         for option in chosen:
             negation = "no-" if option.kind == "flag" and option.default is True else ""
             flag = (names or {}).get(option.name) or f"--{negation}{prefix}{option.dashed}"
@@ -109,12 +110,15 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store the names for messages in the parsed arguments. ``words`` adds names for arguments without a flag."""
+        """Store the flags by Python argument in the parsed arguments, for messages.
+
+        ``words`` has the arguments that have no generated flag.
+        """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
 
 def _shape(option: Option) -> dict[str, Any]:
-    """Return argparse's keywords for a flag: type, number and placeholder of its values."""
+    """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name in VECTORS:
         return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
@@ -127,7 +131,7 @@ def _shape(option: Option) -> dict[str, Any]:
 
 
 def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
-    """Return the help text of a flag: meaning, range or choices, and default, with the names of the command line."""
+    """Return the help text of a flag: meaning, range or choices, and default. It calls options by their flags."""
 
     def code(match: re.Match[str]) -> str:
         name, equals, value = match[1].partition("=")

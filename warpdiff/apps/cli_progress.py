@@ -50,7 +50,7 @@ class CommandProgress:
         self._thread.join()
 
     def print(self, text: str, stream: TextIO) -> None:
-        """Print a line to a stream at once, not into the line of the bar."""
+        """Print a line to a stream immediately. A progress bar is erased first, so that the texts do not mix."""
         with self._lock:
             if self._bar is not None:
                 self._bar.clear()
@@ -70,7 +70,8 @@ class CommandProgress:
         from tqdm import tqdm
 
         with self._lock:
-            # The clock of the bar includes the time before its display.
+            # The elapsed time that the bar shows counts from the start of the command, not from the first display of
+            # the bar.
             self._bar = tqdm(
                 total=1.0, desc=self._command, file=self._stream, leave=False, delay=_FIRST_S,
                 bar_format="{desc}  {bar}  {percentage:3.0f} %  {elapsed}",
@@ -98,5 +99,6 @@ class CommandProgress:
                     file=self._stream,
                     flush=True,
                 )
-            # The time between lines is the time so far: 1, 2, 4, 8 s and so on.
+            # The interval until the next line equals the time elapsed so far, so that lines appear after 1, 2, 4, 8 s
+            # and so on.
             interval = min(elapsed, _MOST_BETWEEN_LINES_S)

@@ -43,7 +43,8 @@ class Interruption:
         self._returned = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
-        # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
+        # Functions registered with atexit run in reverse order. ``_ignore``, which disables the signals, is registered
+        # first and therefore runs last.
         atexit.register(self._ignore)
         # Compilers and other programs that this process starts put their temporary files into the folder of ``TMPDIR``.
         # This process sets ``TMPDIR`` to a folder of its own, which it deletes at its end.
@@ -83,7 +84,7 @@ class Interruption:
         raise KeyboardInterrupt
 
     def _swallowed(self, unraisable: Any) -> None:
-        """End the process if an interruption was raised in a finalizer, where Python would discard the exception."""
+        """End the process if a signal raised ``KeyboardInterrupt`` in a finalizer, where Python would ignore it."""
         if self._code is not None and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._leave(self._code)
         self._unraisable(unraisable)

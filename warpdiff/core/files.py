@@ -98,7 +98,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Context for checking a value that was read from a file; errors name the file instead of an argument.
+    """Context for checking a value from a file. An error about the value names the file instead of an argument.
 
     Args:
         argument: Argument that the errors in the context name.

@@ -20,7 +20,8 @@ _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Memory limits of a control group that are at least this large mean "no limit" [bytes]. Limit: no machine has so much
 # memory.
 _NO_LIMIT = 2**60
-# Pattern of the messages of failed allocations, in a MemoryError of NumPy or a RuntimeError of Warp.
+# Pattern of the messages of failed allocations, by which a MemoryError of NumPy or a RuntimeError of Warp is
+# recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # Measured peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per
@@ -131,7 +132,8 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:
         refused = _REFUSED.search(str(error))
         if refused is None and (error.args or not isinstance(error, MemoryError)):
-            # Either the error is not a failed allocation, or it is a ``MemoryError`` that already contains a remedy.
+            # The error is raised unchanged: it is not a failed allocation, or it is a ``MemoryError`` that already
+            # contains a remedy.
             raise
         raise marked(MemoryError, _description(refused, what, remedy)) from error
 
@@ -139,7 +141,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
 def _description(refused: re.Match[str] | None, what: str, remedy: str) -> str:
     free = f"{max(available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
     if refused is None:
-        # The MemoryError of Python's own allocations has no message.
+        # A MemoryError that Python itself raises has no message, so the size of the failed allocation is unknown.
         return f"{what} requires more memory than is free; {free}"
     size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
     if refused["device"] in (None, "cpu"):

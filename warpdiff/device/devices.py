@@ -91,9 +91,9 @@ def resolve_threads(threads: int | None) -> int:
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
-    """Start to compile or load kernels for the CPU on other threads; return their futures.
+    """Start to compile or load kernels for the CPU on other threads, and return the futures of this work.
 
-    The first compilation on a thread reads Warp's headers, which takes seconds. Two threads do this at the same time.
+    The first compilation on a thread requires seconds to read Warp's headers. Two threads do this at the same time.
     """
     if not device.is_cpu:
         return []
@@ -101,13 +101,13 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # Launches on the CPU use modules compiled for blocks of one thread.
+                # CPU kernels are compiled for blocks of one thread, because Warp launches them in this way.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
 
 def load_now(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
-    """Compile or load kernels and wait for them, so that threads do not compile the same module at once."""
+    """Compile or load kernels, and wait until they are ready. Threads that launch them then need not compile them."""
     for loaded in load(kernels, device):
         loaded.result()
 
@@ -142,15 +142,15 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Descriptions of work that other threads had not finished when this process was forked. Threads do not survive a fork,
-# so this work never finishes in this process.
+# Work that other threads had not finished when this process was forked, as texts for error messages. A fork copies only
+# the calling thread, so that this work never finishes.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Raise an error if this process was forked during work of another thread.
+    """Raise an error if this process was forked while another thread compiled kernels or imported a module.
 
-    Kernels would wait for that work for ever.
+    Without the error, kernels of this process would wait for that work for ever.
     """
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
@@ -165,10 +165,10 @@ def codegen_lock() -> threading.Lock | None:
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# The lock of :func:`codegen_lock` while this process forks; otherwise empty.
+# While the process forks, this list contains Warp's lock, which :func:`codegen_lock` returns; otherwise it is empty.
 _acquired: list[threading.Lock] = []
-# Futures of the modules that were loaded before a fork, for the child process. They are new objects, because another
-# thread may hold the locks of the original ones during the fork.
+# New futures, for a forked child process, of the modules that were loaded before the fork. The original futures have
+# locks, which another thread may hold during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
@@ -178,7 +178,8 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # If loading succeeded, the exception is None. ``set_exception`` then only marks the new future as done.
+            # Passing the exception of the original future copies its state. Without an exception, this marks the new
+            # future as done.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -192,7 +193,7 @@ def _release() -> None:
 
 
 def _in_child() -> None:
-    """In the child process, restore which modules are loaded, and record other threads' work that was not finished."""
+    """In a forked child process, note which modules are loaded and which work of other threads will never finish."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)
@@ -205,8 +206,8 @@ def _in_child() -> None:
         lock.release()
 
 
-# At a fork, the functions registered last run first: imports finish, then ``_load_lock`` prevents further loads, then
-# ``_before_fork`` waits for running loads.
+# Of the functions registered for a fork, the one registered last runs first. First, imports finish. Then ``_load_lock``
+# prevents further loads of kernels. Then ``_before_fork`` waits for the loads that are running.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

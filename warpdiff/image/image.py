@@ -29,12 +29,13 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 Bits = Literal[8, 16]
-# First, the channels of every EXR file. Then, for each layer, the suffixes of the names of its channels.
+# Channels of every EXR file, followed by the channels of each layer: "normal", for example, has the channels normal.X,
+# normal.Y and normal.Z.
 _CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
-# Last chunk of a complete PNG file: length, name and checksum. Many readers accept files without it, which are
-# incomplete.
+# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
+# but many readers accept it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
 # reflections of a light may be a thousand times as bright as diffraction orders.

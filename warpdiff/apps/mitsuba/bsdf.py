@@ -132,7 +132,7 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the coordinate from 0 to 1 of a value of κ or w in a texture of ``entries`` texels."""
+        """Return the texture coordinate, 0 to 1, at which a texture of ``entries`` texels stores a value of κ or w."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
@@ -247,7 +247,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm; 1 for colours."""
+            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm, or 1 in RGB variants."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]

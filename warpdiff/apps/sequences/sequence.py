@@ -190,7 +190,7 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings, heightfield = state["settings"], state["heightfield"]
-    # Tolerance, method and integration need no hash, because the plan that was computed from them has one.
+    # Tolerance, method and integration are not hashed themselves. The plan is hashed, and it was computed from them.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})

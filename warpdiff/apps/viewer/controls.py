@@ -42,13 +42,13 @@ MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
 # Options of pictures for which the page has no control of the same name.
 EXCLUDED = (
-    # Several other controls set these options: those of coherence, of the material, and of the height field's x axis.
+    # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
     *("coherence", "material", "tangents"),
-    # The command line that starts the viewer sets these options.
+    # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
-    # The viewer sets these options itself: it refines a picture in stages until the tolerance is met.
+    # Options that the viewer sets itself, because it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
-    # The planner selects these options from the tolerance and the coherence.
+    # Options that the planner selects from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
 )
 _SKY = "Environment"
@@ -61,7 +61,7 @@ _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
 # Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
-# Words for those arguments of the library that no control sets. Error messages on the page print these words.
+# Texts by which error messages on the page name the arguments of the library that no control sets.
 _WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
 _UNITS = {"um": "µm", "deg": "°"}
 # Lowest value, highest value and step of a slider; None is no slider.
@@ -280,7 +280,7 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
 
 
 def _further(known: set[str]) -> list[Control]:
-    """Return controls for the flags, choices and bounded numbers among the options of pictures not in ``known``."""
+    """Return controls for those flags, choices and bounded numbers of pictures whose names are not in ``known``."""
     result = []
     for option in describe(PictureSettings).values():
         slider: Slider = None

@@ -476,7 +476,7 @@ class Studio:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
             return {"plan": made[0].plan.to_json()}
 
-        # A plan does not depend on shadows.
+        # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
         key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self._device.alias
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)

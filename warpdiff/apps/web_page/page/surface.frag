@@ -116,7 +116,8 @@ vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, 
              float clamped, float tilt, float perTangent, vec3 toLight, float perLight) {
     vec3 turn = turns(position, toView, 1.0 / distance) * frame, view = toView * frame;
     vec2 ofNormal = perNormal * (normal * frame).xy;
-    // A normal that was turned towards the viewer, because it faced away, has a constant angle with the view direction.
+    // An interpolated normal that faces away from the viewer was turned until it has a fixed angle to the view
+    // direction. Its derivative must keep this angle.
     ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
     float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
     return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy
