@@ -38,7 +38,8 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
-# Name of the environment that is computed instead of loaded, and the default direction to its sun: the upper right.
+# First string: name of the environment that is computed instead of loaded from a file. Second string: default direction
+# to its sun, at the upper right.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 
@@ -183,7 +184,7 @@ def _named_material(name: str, option: str) -> wd.Material:
 
 
 def illuminant_of(text: str) -> str | wd.Spectrum:
-    """Return the name of an illuminant unchanged, or the spectrum of a temperature such as ``2856K`` or of a file."""
+    """Return the name of an illuminant unchanged, or a spectrum: of a black body such as ``2856K``, or from a file."""
     with renaming({"path": "--illuminant", "temperature_k": "--illuminant"}):
         if re.fullmatch(r"[0-9.]+K", text):
             with contextlib.suppress(ValueError):
@@ -233,7 +234,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
     described = describe(wd.Environment.load)
     values = given(options, described, "environment_")
     words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
-    # The ``sequence`` command has no flag ``--environment-behind``.
+    # The command ``sequence`` has no flag ``--environment-behind``, so the parsed arguments may lack it.
     is_behind = getattr(options, "environment_behind", False)
     if options.environment is None:
         if values or is_behind:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def integer(text: str) -> int:
-    """Return the integer in a text, for argparse."""
+    """Convert the text after a flag to an integer. argparse shows the message if the text is wrong."""
     try:
         return int(text)
     except ValueError:
@@ -26,7 +26,7 @@ def integer(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """Return the number in a text, for argparse."""
+    """Convert the text after a flag to a number. argparse shows the message if the text is wrong."""
     try:
         return float(text)
     except ValueError:
@@ -46,7 +46,7 @@ _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "c
 
 # Options whose Python value is an array, but which the command line accepts as three numbers.
 VECTORS = ("tangents", "background")
-# Flags of ``Coherence`` whose name differs from the argument's name with dashes.
+# Flags for those arguments of ``Coherence`` whose flag is not the argument's name with dashes.
 COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
 # Cleaning methods of ``HeightField``: the flag that calls the method, and the argument that gets the flag's value.
 CLEANING = {

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 # Time from the start of a command to its first sign of progress, and between two updates of a bar [s]. Derived: imports
 # take less than another second, so a user waits for at most 2 s. Twice the value doubles that wait.
 _FIRST_S = 1.0
-# Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the lines.
+# Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the number
+# of lines.
 _MOST_BETWEEN_LINES_S = 600.0
 
 

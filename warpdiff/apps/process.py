@@ -108,7 +108,8 @@ class Interruption:
     def _folders(self) -> list[Path]:
         """Return the temporary folders of this process that still exist."""
         folders = [Path(self._temporary.name)] if self._temporary is not None else []
-        # Warp compiles kernels in folders whose names contain the number of the process.
+        # Warp compiles kernels in temporary folders. Their names contain the process id, by which this process finds
+        # its own.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
         if kernels:
             folders += Path(kernels).glob(f"*_p{os.getpid()}_t*")

@@ -43,7 +43,8 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
     """
     free = available()
     if needed > free:
-        # The factor of 0.9 ensures that the request still fits after the fraction is rounded to two digits.
+        # The message states which fraction of the request would fit, rounded to two digits. The factor of 0.9 ensures
+        # that the rounded fraction fits, too.
         share = 0.9 * max(free, 0.0) / needed
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         size = f"about {needed / 1e9:.2g} GB, and {max(free, 0.0) / 1e9:.2g} GB are free"
@@ -106,7 +107,8 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             # Every parent group may have a limit, too. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # A group without a limit has the text "max" in this file, or, in version 1, a huge number.
+                    # Without a limit, the file of the group contains the text "max" (version 2), or a huge number
+                    # (version 1).
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:
                         limits.append((limit, folder / f"memory.{usage}", folder / "memory.stat"))

@@ -34,11 +34,11 @@ _MOST_WAIT_S = 1.0
 def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # By default Warp prints a banner, and a line for each module that it loads. This level suppresses both.
+    # By default, Warp prints a banner and a line for each module that it loads. At this log level it prints neither.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
-        # Without a home folder Warp would create a folder named "~" in the working directory.
+        # If the user has no home folder, Warp would create a folder named "~" in the working directory.
         wp.config.kernel_cache_dir = _own_folder().name
     _start(asks_for_cuda=device is not None and "cpu" not in str(device))
     try:
@@ -173,7 +173,7 @@ _loaded: dict[wp.Module, Future[None]] = {}
 
 
 def _before_fork() -> None:
-    """Wait up to ``_MOST_WAIT_S`` for kernels that are being compiled or loaded."""
+    """Wait at most ``_MOST_WAIT_S`` for kernels that are being compiled or loaded; store which are loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:

@@ -77,7 +77,7 @@ _NODES, TOE = 33, 0.01
 _BISECTIONS = 20
 # Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
 _TOGETHER = 8192
-# Smallest divisor; it prevents a division by zero.
+# Smallest value of a divisor that may be zero; it prevents a division by zero.
 _LEAST = 1e-30
 
 

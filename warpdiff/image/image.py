@@ -145,7 +145,8 @@ class Image:
     def _auto_exposure(self, display: display_transform.Display) -> float:
         luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
         most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-        # With very few illuminated pixels, the exclusion would leave none. The mean is then over all of them.
+        # With very few illuminated pixels, excluding the brightest would exclude all. In that case the mean includes
+        # all of them.
         mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
         return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -346,8 +347,8 @@ class Image:
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
-            # Without this attribute, the writer would add the current time, and two files of the same picture would
-            # differ.
+            # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
+            # two files of the same picture would differ.
             spec.attribute("DateTime", "")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
             transform = f"none, linear; exposure {factor:.6g}"

@@ -68,10 +68,7 @@ class LobePass(LightPass):
         return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
 
     def _power(self, lobe: Lobe) -> float:
-        """Return a lobe's power at a distance of one mesh radius.
-
-        Users specify the power at a distance of one mesh unit.
-        """
+        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
         if lobe.position is None:
             return lobe.power
         radius = self.context.rays.surface.radius

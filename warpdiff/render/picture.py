@@ -46,8 +46,9 @@ if TYPE_CHECKING:
 # Share of a light's progress [0 to 1] that is reported when one ray per pixel is complete and refinement begins. Fitted
 # to the times of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
-# time if there are many shadow rays. Fitted to the snake: 20 at a tolerance of 0.1, 59 at 0.03.
+# Expected number of shadow rays per hit in a refined picture, which decides whether occluder grids are made: they save
+# time if there are many shadow rays. Fitted to pictures of the snake mesh, which have 20 at a tolerance of 0.1, and 59
+# at 0.03.
 _SHADOW_RAYS_REFINED = 24
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
 # distribute work less evenly over threads; shorter ones require more launches.
@@ -140,7 +141,7 @@ class Picture:
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
-            # The arrays for the sums of a single light are allocated once, because a recorded CUDA graph refers to
+            # The arrays for a single light stay the same when lights change, because a recorded CUDA graph refers to
             # them.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 

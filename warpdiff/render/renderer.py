@@ -167,7 +167,8 @@ class Renderer:
     def __getstate__(self) -> dict[str, Any]:
         """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
-        # The default number of threads is not stored: it is the number of cores, which may differ on another machine.
+        # If the number of threads is the default, the number of cores, it is not stored, because another machine may
+        # have another number of cores.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
@@ -272,7 +273,7 @@ class Renderer:
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # The mapping is copied, because a callable may change the mapping during the picture.
+        # The mapping of previews is copied, because its callables may change it while the picture is drawn.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:

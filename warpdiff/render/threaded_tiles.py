@@ -112,7 +112,7 @@ class ThreadedTiles:
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin the refinement of a light: compute the floor of relative errors from an exact percentile."""
+        """Begin a light: compute the floor of relative errors on the host, from the exact percentile of luminances."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)

@@ -39,7 +39,7 @@ class BufferKind(NamedTuple):
 
 @dataclass(frozen=True)
 class TileBuffers:
-    """Arrays for the rays of the cells of many tiles.
+    """Arrays with one entry per subpixel cell, for the rays of the cells of many tiles.
 
     Attributes:
         gbuffer: Hits of the rays.

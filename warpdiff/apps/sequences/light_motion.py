@@ -54,8 +54,8 @@ class Rotation:
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
 
     def _rotated(self, light: Light, name: str) -> Light:
-        # Subclasses of these lights are rejected: they may have additional directions, which this method would not
-        # rotate.
+        # Only the known classes of lights are accepted, not their subclasses, which may have additional directions that
+        # this method would not rotate.
         if type(light) is DirectionalLight:
             return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
         if type(light) is PointLight:

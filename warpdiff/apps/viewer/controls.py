@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 BODIES = {"snake": "snake", "tube": "tube", "disc": "disc"}
-# Long bodies, on which the height field's x axis can point around or along the body.
+# Names of long bodies, on which the height field's x axis can point around the body or along it.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {
     "fingers": "nano-fingers", "bumps": "bumps", "sinusoidal": "sinusoidal", "lamellar": "lamellar", "blazed": "blazed",
@@ -40,7 +40,7 @@ METALS = {
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Options of pictures for which the page has no control of the same name.
+# Options of pictures that have no control of the same name on the page.
 EXCLUDED = (
     # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
     *("coherence", "material", "tangents"),
@@ -228,8 +228,8 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # Disc lights of a larger diameter are not offered. They consist of several lobes, which previews show as
-        # separate highlights.
+        # Wider disc lights are not offered, because one Gaussian lobe, with which previews are drawn, cannot
+        # approximate them.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
@@ -273,7 +273,7 @@ def _own(name: str, group: str, label: str, text: str, default: Any = None, unit
 
 
 def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
-    """Return the control of an argument of gratings, shown only if one of the gratings ``kinds`` is selected."""
+    """Return the control of an argument of synthetic gratings. The page shows it while one of ``kinds`` is selected."""
     option = describe(getattr(gratings, kinds[0]))[argument]
     more = {"name": f"{kinds[0]}_{argument}"} | more
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
@@ -331,8 +331,8 @@ def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # If the library's default is None, the control's default is compared instead; it is the value that the
-            # library uses for None.
+            # Arguments with their default value are omitted. If the library's default is None, the default of the
+            # control is the value that the library uses for None, and decides instead.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}

@@ -340,7 +340,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the renderer's present picture as that of the next stage."""
+            """Send the current picture of the renderer to the page, as the picture of the next stage."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()

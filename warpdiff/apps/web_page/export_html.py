@@ -179,7 +179,7 @@ def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | Poi
 
 
 def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
-    """Raise an error for point lights that are too close to the mesh, or too powerful for the page's numbers."""
+    """Raise an error for point lights that are too close to the mesh, or too powerful for float32 numbers."""
     for index, light in enumerate(lights):
         if not isinstance(light, PointLight):
             continue

@@ -5,8 +5,8 @@
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// Number of frames that a picture at rest averages. Each of these frames is blurred by only a fraction of the pixel
-// filter's standard deviation; the jittered positions of the frames make up the rest.
+// First number: frames that a picture at rest averages. Second number: standard deviation of the blur of one frame,
+// relative to that of the pixel filter. The jittered positions of the frames add the rest of the filter.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
@@ -417,8 +417,8 @@ function makeShadows() {
     return { map, target };
 }
 
-// Draws the mesh. For the picture (`seen`), back faces of a closed mesh are left out: the rasterizer rounds vertex
-// positions, so that back faces would show through gaps along edges, and such pixels would sparkle.
+// Draws the mesh. If `seen` is true, the drawn faces appear in the picture, and back faces of a closed mesh are
+// omitted. Rounded vertex positions leave gaps along edges, through which back faces would show as sparkling pixels.
 function drawMesh(seen = true) {
     if (header.closed && seen) gl.enable(gl.CULL_FACE);
     else gl.disable(gl.CULL_FACE);
