@@ -110,9 +110,9 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store the flags by Python argument in the parsed arguments, for messages.
+        """Store in the parsed arguments by which flags messages name Python arguments.
 
-        ``words`` has the arguments that have no generated flag.
+        ``words`` names the arguments that have no generated flag.
         """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 

@@ -165,7 +165,8 @@ def codegen_lock() -> threading.Lock | None:
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# While the process forks, this list contains Warp's lock, which :func:`codegen_lock` returns; otherwise it is empty.
+# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise it is
+# empty.
 _acquired: list[threading.Lock] = []
 # New futures, for a forked child process, of the modules that were loaded before the fork. The original futures have
 # locks, which another thread may hold during the fork.
@@ -173,7 +174,7 @@ _loaded: dict[wp.Module, Future[None]] = {}
 
 
 def _before_fork() -> None:
-    """Wait at most ``_MOST_WAIT_S`` for kernels that are being compiled or loaded; store which are loaded."""
+    """Wait for kernels that are being compiled or loaded, up to a time limit, and store which of them are loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:
@@ -206,8 +207,8 @@ def _in_child() -> None:
         lock.release()
 
 
-# Of the functions registered for a fork, the one registered last runs first. First, imports finish. Then ``_load_lock``
-# prevents further loads of kernels. Then ``_before_fork`` waits for the loads that are running.
+# The functions registered for a fork run in reverse order: the last one waits for imports, the second one prevents that
+# another thread loads kernels, and the first one waits for kernels that are being loaded.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

@@ -58,7 +58,7 @@ class KernelCall:
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
-        """Return a recorded launch that no other thread is using. After use, the caller must append it to ``free``."""
+        """Return a recorded launch that no other thread is using. The caller must add it to ``free`` after use."""
         try:
             return self.free.pop()
         except IndexError:

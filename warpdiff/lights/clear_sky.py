@@ -42,7 +42,8 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image has the pixels of ``SkyGrid``. Otherwise resampling to that grid would spread the power of the sun.
+    # The image has the same pixels as the grid on which environments store a sky. Resampling would spread the power of
+    # the sun.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1

@@ -66,8 +66,8 @@ class DiscPass(LobePass):
     def cell_lobes(self, level: int) -> range:
         """Return the indices of the directions that each subpixel cell draws.
 
-        In a refined picture this is one direction per cell. Otherwise all cells of a pixel together draw
-        ``sample_count``.
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
         """
         return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 

@@ -42,8 +42,9 @@ class SurfaceOptics:
         normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
         materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
-        energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None leaves the energy
-            of Stam's model unchanged.
+        energy: Factors of the energy normalisation
+            (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
+            perfect mirror do not sum to 1.
         pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
     """
@@ -65,10 +66,12 @@ class PassContext:
         rays: Camera rays, on whose hits the light is sampled.
         optics: Optics of the surface, without the diffraction of its height field.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
-        pigment_strength: Strength of the pigment over R(0); 0 without a pigment.
+        pigment_strength: Strength of the pigment divided by R(0), because pictures are relative to R(0); 0 without a
+            pigment.
         materials_of_faces: Index of each face's material on the device; empty for a single material.
         refines: Whether pixels with large errors are subdivided.
-        reflection: The struct ``Reflection`` of the kernels.
+        reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
+            pigment.
     """
 
     def __init__(
@@ -292,11 +295,11 @@ class LightPass(ABC):
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the kernel calls that fill ``batch.samples`` for a lobe, and add the light of the pigment."""
+        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of ``batch.samples``, and add them to the batch's sums."""
+        """Return the kernel calls that look up the colours at the samples of a batch, and add them to its sums."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup

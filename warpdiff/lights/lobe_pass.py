@@ -112,9 +112,10 @@ class LobePass(LightPass):
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
     ) -> list[KernelCall]:
-        """Return the kernel calls of :meth:`scatter`, with a weight of ``share`` and the directions in ``towards``.
+        """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe.
 
-        ``towards`` has a direction to the light for each ray. If it is empty, all rays use the direction of the lobe.
+        ``share`` is the weight of the lobe's colours. ``towards`` has a direction to the light for each ray; if it is
+        empty, all rays use the direction of the lobe.
         """
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)

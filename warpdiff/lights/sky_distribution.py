@@ -46,7 +46,7 @@ _CELLS_OF_BLOCK = 4
 
 
 def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
-    """Copy a sky to a device: its powers, and the distribution of :func:`_of_sky` over its blocks."""
+    """Copy a sky to a device: its powers, and the distribution from which bright directions are drawn."""
     arrays = _of_sky(grid)
     return (
         wp.array(grid.powers, dtype=wp.vec3f, device=device),
@@ -146,7 +146,7 @@ def _luminances(
 
 
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distribution over blocks of a sky: cumulative shares of rows, of blocks in a row, and densities."""
+    """Return the distribution over blocks of a sky: cumulative probability of rows and of blocks in a row; density."""
     bright = grid.powers.sum(axis=2)
     # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A
     # neighbour may be in another block, so each cell counts with the brightness of its brightest neighbour.

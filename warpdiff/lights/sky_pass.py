@@ -60,8 +60,8 @@ class SkyPass(LightPass):
     def cell_lobes(self, level: int) -> range:
         """Return the indices of the directions that each subpixel cell draws.
 
-        In a refined picture this is one direction per cell. Otherwise all cells of a pixel together draw
-        ``lobe_count``.
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
         """
         return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 

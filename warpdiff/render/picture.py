@@ -101,8 +101,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # A picture of means under several lights has separate sums for the present light, which ``set_lights``
-        # allocates. Other pictures add directly to the sums over all lights.
+        # A picture of means under several lights has separate sums for the present light. Other pictures add directly
+        # to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []

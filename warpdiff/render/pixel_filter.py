@@ -114,7 +114,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Divide a list of pixels into consecutive parts that have at most ``_MOST_RASTERIZED`` cells each."""
+    """Divide a list of pixels into consecutive parts that do not have more cells than one rasterization can process."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
@@ -127,7 +127,7 @@ def slices(count: int, level: int, threads: int) -> Iterator[range]:
 
 
 def most_threads(pixels: int) -> int:
-    """Return the largest useful number of threads: each has at least ``_LEAST_RAYS`` rays at the finest level."""
+    """Return the largest useful number of threads, with which each thread has enough rays for a launch."""
     return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
@@ -155,7 +155,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the floor of relative errors: ``FLOOR`` times the luminance that 1 % of the illuminated pixels exceed."""
+    """Return the floor of relative errors: 1e-3 of the luminance that 1 % of the illuminated pixels exceed."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)

@@ -139,7 +139,8 @@ class PixelSampler:
     ) -> tuple[DirectionRange, DirectionSample, int]:
         """Return the illuminated directions for which a plan is made: their range, a sample of them, and their number.
 
-        Their rays are traced only for this purpose, which requires about 1 % of the time of the colours.
+        Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
+        are computed.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())

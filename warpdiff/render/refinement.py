@@ -104,7 +104,7 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays of the sums that the kernel call of :meth:`resolve_pixels` overwrites."""
+        """Arrays of the sums that are overwritten when pixels get the weighted sums over their cells."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 

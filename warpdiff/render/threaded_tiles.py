@@ -43,7 +43,7 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return those arrays of ``sums`` into which the kernels write when the tiles of a level are shaded."""
+        """Return the arrays of sums over cells into which kernels write when the tiles of a level are shaded."""
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
@@ -127,7 +127,7 @@ class ThreadedTiles:
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups of at most ``_MOST_PIXELS``, each with the tiles that it requires."""
+        """Yield the marked pixels in groups of limited size, each with the tiles that it requires."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):
@@ -144,8 +144,8 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # A pixel without a mark gets the mark ``SHARED`` if the pixel itself and its eight neighbours are tiles of
-        # marked pixels. Its colour can then be computed from their cells.
+        # A pixel that is not marked can still be computed from cells, if the pixel itself and its eight neighbours are
+        # tiles of marked pixels. It gets the mark ``SHARED``.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = subdivision.SHARED

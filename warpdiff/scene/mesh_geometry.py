@@ -213,9 +213,9 @@ def join_seams(
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
-    # In ``order``, vertices at one position are consecutive. A vertex is compared with the next one, then with the one
-    # after that, and so on. A round of the loop makes many comparisons at once. To limit memory, a round has at most
-    # about as many pairs as the mesh has vertices.
+    # Vertices are sorted by position. A vertex is compared with the next one at its position, then with the one after
+    # that, and so on. A round of the loop makes many comparisons at once. To limit memory, a round has at most about as
+    # many pairs as the mesh has vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))

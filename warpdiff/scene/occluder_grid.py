@@ -28,7 +28,7 @@ _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """Return a struct ``ShadowGrid`` without lists of faces, with which shadow rays use the hierarchy."""
+    """Return an empty occluder grid, with which shadow rays use the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid

@@ -263,9 +263,9 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control for a value that is no option of the library: a choice (with ``labels``), a flag or a number.
+    """Return a control for a value that is no option of the library: a choice, a flag or a number.
 
-    The default of a choice is its first value.
+    It is a choice if ``labels`` are given, and the first of them is the default.
     """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
@@ -331,8 +331,8 @@ def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # Arguments with their default value are omitted. If the library's default is None, the default of the
-            # control is the value that the library uses for None, and decides instead.
+            # Arguments that have their default value are omitted from the call. If the library's default is None, the
+            # control's default is compared, because it is the value that the library uses for None.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}

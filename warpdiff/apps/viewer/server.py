@@ -99,7 +99,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # If the drawing thread or the server could not start, ``result`` raises the error here.
+        # If the drawing thread or the server could not start, this loop raises its error.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
