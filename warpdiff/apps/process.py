@@ -1,7 +1,7 @@
 """Signals, exit codes and standard streams of the command line's process. The library itself handles no signals.
 
-A process that a signal ends deletes its unfinished files, and its exit code is 128 plus the signal's number. Standard
-streams may be closed, full, or unable to encode every character.
+A process that a signal ends deletes its unfinished files, and its exit code is 128 plus the signal's number. Messages
+are also safe if a standard stream is closed or full, or cannot encode every character.
 """
 
 from __future__ import annotations

@@ -146,7 +146,11 @@ def _luminances(
 
 
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distribution over blocks of a sky: cumulative probability of rows and of blocks in a row; density."""
+    """Return the distribution from which directions are drawn by the brightness of a sky.
+
+    The arrays have the cumulative probability of rows of blocks, the cumulative probability of blocks within each row,
+    and the density of each block.
+    """
     bright = grid.powers.sum(axis=2)
     # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A
     # neighbour may be in another block, so each cell counts with the brightness of its brightest neighbour.

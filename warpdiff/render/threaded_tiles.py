@@ -62,7 +62,7 @@ class _ShadedTiles:
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy the cached sums of tiles at a level into the group. Return a mask of the tiles that are not cached."""
+        """Copy cached sums of tiles into the arrays of a group. Return a mask of the tiles that are not cached."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -76,7 +76,7 @@ class _ShadedTiles:
         return ~is_known
 
     def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
-        """Store copies of the sums over the cells of the tiles at a level."""
+        """Store copies of the sums over the cells of some tiles at a level."""
         ranks = group.ranks[tiles]
         self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 

@@ -190,8 +190,9 @@ def tangents_from_uvs(
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # The direction ∂P/∂u of a face is scaled so that its projection on the vertex's tangent plane has unit length.
-    # Otherwise faces with steep directions would have less weight in the mean. The sum is projected at the end.
+    # The direction ∂P/∂u of a face is scaled so that its projection on the tangent plane of the vertex has unit length.
+    # Otherwise faces with steep directions would have less weight in the mean. The projection itself follows after the
+    # sum over faces.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)

@@ -32,14 +32,14 @@ from warpdiff.core.wording import ArgumentValueError, ref
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# Probabilities of drawing from each sampling density; they only change the noise. The first is that of a uniform
-# density over the disc of the table's coordinates, which avoids missed lobes. The other two are the bounds of the
-# probability of the zeroth order's lobe.
+# Probabilities with which outgoing directions are drawn in each way; they only change the noise. First number:
+# uniformly over the disc of the table's coordinates, so that no lobe is missed. Second and third number: least and
+# largest probability of drawing from the lobe of the zeroth order.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 # Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
 _SIZE = 1024
-# Value of κ, as a fraction of its range, and value of w at which a table is evaluated to obtain the sampling
-# probabilities of its cells. Limits: they only change the noise.
+# The sampling probabilities of a table's cells are its powers at one κ, or its colours at one w. First number: this κ,
+# as a fraction of its range. Second number: this w. They only change the noise.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
 # Smallest cosine of the angle between a direction and the normal; for smaller cosines the BSDF is 0. Limit: the
 # geometry factor diverges at the horizon.
