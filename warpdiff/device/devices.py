@@ -179,8 +179,8 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # Passing the exception of the original future copies its state. Without an exception, this marks the new
-            # future as done.
+            # The new future gets the result of the original one: its exception, or None if the kernels were loaded
+            # without error.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):

@@ -186,8 +186,8 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
-        # Previews are called by the host between launches. The launches of a recorded graph run without the host, so it
-        # has no previews.
+        # The callables of previews are called by the host between launches. A recorded graph is launched without the
+        # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:

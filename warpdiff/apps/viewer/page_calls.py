@@ -350,7 +350,10 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the selected body, and the height field's x axis as a world direction; None for texture coordinates."""
+    """Return the selected body, and the world direction of the height field's x axis.
+
+    The direction is None if the texture coordinates of the body determine it.
+    """
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
     unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
