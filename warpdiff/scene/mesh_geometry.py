@@ -144,9 +144,9 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number the distinct positions of vertices.
+    """Give vertices at the same position the same number, and other vertices other numbers.
 
-    Return each vertex's number, and the vertices in the order of numbers.
+    Return the number of each vertex, and the indices of the vertices in the order of their numbers.
     """
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
     # Coordinates are rounded to integers of 21 bits, and joined to one integer per vertex, which is faster to sort than
