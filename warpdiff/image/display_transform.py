@@ -77,7 +77,7 @@ _NODES, TOE = 33, 0.01
 _BISECTIONS = 20
 # Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
 _TOGETHER = 8192
-# Smallest divisor; it prevents a division by zero.
+# Smallest value of a divisor that may be zero; it prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -109,7 +109,7 @@ GAMUTS: dict[GamutName, Gamut] = {
 }
 
 
-# Linear algebra is restricted to one thread here, because products with 3 × 3 matrices do not benefit from more.
+# Linear algebra is restricted to one thread here: more threads do not make products with 3 × 3 matrices faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
@@ -234,8 +234,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # For a grey, the cube roots of the three cone responses are all equal to the lightness L. Multiples of
-        # ``slopes`` add chroma.
+        # A grey of lightness L has three cone responses whose cube roots all equal L. Chroma is added as a multiple of
+        # ``slopes``, the change of these roots per unit of chroma.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
