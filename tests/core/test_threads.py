@@ -202,7 +202,7 @@ def taken_by_others(work):
 def test_large_matrices_are_processed_by_one_thread(what, rng):
     """If threads of the linear-algebra library were active during a fork, parent or child could wait forever."""
     rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
-    coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
+    coarse = wd.HeightField.of_known_scale(0.01 * rng.standard_normal((20, 20)), 4.0)
     tube = wd.meshes.tube(segments_along=300, segments_around=300)
     ones = np.ones((300, 400), np.float32)
     xyz = rng.random((*ones.shape, 3), np.float32)

@@ -117,6 +117,7 @@ def test_powers_do_not_depend_on_the_position_of_the_patch(rough, kind, rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.filterwarnings("ignore:opposite edges")
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
     """Each quarter turn maps (x, y) to (−y, x). It is about the central sample of the patch of 61 × 61 samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]

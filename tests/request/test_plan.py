@@ -313,14 +313,16 @@ def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
     np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
 
 
-def test_heights_in_another_unit_are_refused(rough):
+def test_height_ranges_beyond_the_expansions_are_refused_and_the_direct_sum_computes_them(rough):
     plan = wd.plan(rough, UP, UP)
     for height_um in (375.0, 1e9):
-        for method in ("auto", "taylor", "direct"):
-            with pytest.raises(ValueError, match="heights are in µm"):
+        for method in ("auto", "taylor"):
+            with pytest.raises(ValueError, match=r"wavelengths of path.*method='direct'"):
                 wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
-        with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
+        with pytest.raises(ValueError, match="method='direct'"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
             wd.reflectance(deep(height_um), UP, UP, plan=plan)
+    with pytest.warns(wd.WarpdiffWarning, match="invalid"):
+        assert np.isfinite(wd.reflectance(deep(375.0), UP, UP, method="direct")).all()
 
 
 def test_an_explicit_plan_is_used_with_a_warning_beyond_its_range(rough):

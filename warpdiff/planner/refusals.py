@@ -94,13 +94,15 @@ def _longest_sigma_um(coherence: Coherence) -> float:
     return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
-def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
-    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` is False."""
+def check_error(request: Evaluation, plan: Plan) -> None:
+    """Raise an error for a plan that cannot meet its tolerance, or warn if the request is not strict."""
+    heightfield = request.heightfield
     # Measured errors include a safety factor. A plan that exceeds its tolerance by less than this factor is accepted.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
-    lower = f"{fewer}, or use {ref('method', 'auto')} or {ref('method', 'direct')}"
+    other = "" if request.method == "auto" else f"{ref('method', 'auto')} or "
+    lower = f"{fewer}, or use {other}{ref('method', 'direct')}"
     height_range = f"for a height range of {heightfield.height_range_um:.3g} µm"
     rings = plan.rings_per_octave
     samples = f"{rings} rings per octave" if rings else f"{plan.wavelengths} wavelengths"
@@ -123,7 +125,7 @@ def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
         f"the {LABELS[plan.method]} cannot meet {ref('tolerance', plan.tolerance)}: {why}, an error of {error:.1e} "
         f"{how}{risk}; {remedy}, or a larger {ref('tolerance')}"
     )
-    if strict:
+    if request.strict:
         raise ToleranceError(f"{message}; {ref('strict', False)} computes it anyway")
     warn(message)
 

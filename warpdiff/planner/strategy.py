@@ -186,7 +186,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         # converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
-    refusals.check_error(heightfield, result, strict=request.strict)
+    refusals.check_error(request, result)
     return replace(result, footprint=request.footprint)
 
 
