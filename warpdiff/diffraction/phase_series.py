@@ -76,7 +76,7 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the number of terms, at most ``MAX_TERMS``, with a truncation error at ``argument`` below a tolerance."""
+        """Return the number of terms, at most ``MAX_TERMS``, with which the error at ``argument`` meets a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1

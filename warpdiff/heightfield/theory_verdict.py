@@ -113,7 +113,7 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade: use colours and numbers (reliable), only the positions of colours (qualitative), or nothing (invalid)."""
+        """Grade: use colours and numbers (reliable), only positions of colours (qualitative), or nothing (invalid)."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
