@@ -89,9 +89,7 @@ class Group:
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the relative errors of values against reference values, shape (rows, n), with the rows of
-        ``scale``.
-        """
+        """Return the relative errors of ``values``, shape (rows, n), by the divisors in the rows of ``scale``."""
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 

@@ -75,7 +75,8 @@ class Evaluation:
     ) -> Evaluation:  # fmt: skip
         """Resolve checked settings for a height field.
 
-        ``by_geometry`` is whether the setting ``material`` may be a mapping from the names of a mesh's geometries.
+        ``by_geometry`` states whether the setting ``material`` may be a mapping from the names of a mesh's geometries
+        to materials.
         """
         check_whole(heightfield)
         for illuminant in illuminants:
@@ -103,7 +104,7 @@ class Evaluation:
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether energy is normalised on surfaces that transmit no light."""
+        """Whether orders sum to the reflected power: energy is normalised, and no surface transmits light."""
         materials = self.materials.values()
         opaque = all(
             self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials
@@ -116,7 +117,7 @@ class Evaluation:
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a copy of a plan whose ``energy_spread`` is the ``spread`` of this evaluation's energy factors."""
+        """Return a copy of a plan with the field ``energy_spread``, from the energy factors of this evaluation."""
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 
