@@ -1,6 +1,6 @@
 """Disc samples: random directions to a disc light.
 
-Each sample stands for a small Gaussian; all together cover the disc.
+Each sample represents a small Gaussian of directions. All samples together cover the disc.
 """
 
 import math
