@@ -1,4 +1,5 @@
-// Hits of a batch of pixels, with the corners of the faces that are hit; one array per component of a vector.
+// Hits of a batch of pixels, with the corners of the faces that are hit. Each component of a vector has an array of its
+// own.
 
 #pragma once
 
