@@ -66,7 +66,7 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian window exp(−across dy² − along (dx + slant dy)²) for one direction.
+    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the coefficients around q, for one direction.
 
     The distances (dx, dy) from q are in spacings of coefficients.
     """
@@ -98,7 +98,7 @@ def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32
 
 @functools.cache
 def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
-    """Return the struct and the kernels for rows of ``lanes`` terms.
+    """Return the struct ``Table`` and the kernels for coefficient tables whose rows have ``lanes`` terms.
 
     Args:
         lanes: Number of terms in a row of the table.

@@ -74,7 +74,7 @@ def spline(away: wp.float32) -> wp.vec3f:
 
 @wp.func
 def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
-    """Return a Gaussian that is 1 at its centre."""
+    """Return the value of a Gaussian at a distance from its centre, where it is 1."""
     return wp.exp(-0.5 * away * away / variance)
 
 

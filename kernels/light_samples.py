@@ -132,8 +132,9 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
     columns = reflection.energy.shape[1]
     if rows == 0:
         return 1.0
-    # The rows of the table are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally spaced in
-    # y/(|x| + |y|) within each quadrant. Both are computed without trigonometric functions.
+    # The rows of the table of factors are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally
+    # spaced in y/(|x| + |y|) within each quadrant. Rows and columns of a direction follow without trigonometric
+    # functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)

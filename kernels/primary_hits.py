@@ -82,7 +82,10 @@ def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
 
 @wp.func
 def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
-    """Return the bilinear colour of a periodic texture, whose row 0 is at v = 1 and whose texel centres are at +0.5."""
+    """Return the colour of a periodic texture by bilinear interpolation between texel centres.
+
+    Row 0 of the texture is at v = 1. Texel centres are half a texel from the edges.
+    """
     height = texture.shape[0]
     width = texture.shape[1]
     x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5

@@ -18,8 +18,8 @@ FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # level before, and takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# For tolerances of at least this number, the finest level is MOST_LEVEL − 1. Limit: errors that remain at that level
-# are smaller than this tolerance.
+# For tolerances of at least this number, the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that
+# remain at that level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
 # Least level of refinement of pictures without footprints. Limit: with one ray per pixel, the variation of colours
 # within a pixel is unknown.
@@ -49,5 +49,5 @@ BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
 def rays_at(level: int) -> int:
-    """Return the number of cells of a pixel at a level."""
+    """Return the number of subpixel cells of a pixel at a level of refinement, each with its own ray."""
     return 1 << 2 * level

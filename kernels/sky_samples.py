@@ -187,10 +187,10 @@ def mirror_deflections(
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors for light from the mirror direction, from which footprints follow, and count hits.
+    """Compute scattering vectors for light from the mirror direction, and count hits.
 
-    At this point no direction of the sky has been drawn. Gains are 1 at all hits, because a sky illuminates every
-    point.
+    The footprints of a sky's samples are computed from these scattering vectors, before any direction of the sky is
+    drawn. Gains are 1 at all hits, because a sky illuminates every point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

@@ -15,7 +15,7 @@ SPECIAL = wp.constant(2)
 
 @wp.struct
 class Camera:
-    """Camera of a view: the fields of ``warpdiff.scene.camera.ViewFrame`` in the surface's units."""
+    """Camera of a view, in units in which the mesh fills the unit sphere around the origin."""
 
     # Five vectors: origin; unit vectors to the right, up and back; half the width and height of the picture. They are
     # in an array, so that a recorded graph can be replayed for new views. With an array of structs, compilation would
@@ -46,7 +46,7 @@ class Cells:
 
 @wp.struct
 class SurfaceArrays:
-    """Mesh in the units of the kernels, with its vertices' attributes, as in ``warpdiff.scene.mesh_import.Surface``."""
+    """Mesh in units in which it fills the unit sphere, with normals, tangents and other attributes of its vertices."""
 
     mesh_id: wp.uint64
     positions: wp.array(dtype=wp.vec3f)

@@ -95,8 +95,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
     face.slide1 = dot(face.view, face.of_share1) * per_facing;
     face.slide2 = dot(face.view, face.of_share2) * per_facing;
-    // Compute factors from lengths in the picture plane to changes of the view direction (`per_unit`) and to distances
-    // near the hit point (`scale`).
+    // Factors that convert a length in the picture plane: `per_unit` to a change of the view direction, and `scale` to
+    // a distance near the hit point.
     face.per_unit = filter.perspective ? dot(face.view, filter.back) : 0.0f;
     face.scale = (filter.perspective ? face.per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
     return face;

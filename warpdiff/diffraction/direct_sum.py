@@ -76,7 +76,7 @@ def _coefficient_sum(
 ) -> float:  # fmt: skip
     """Return Σ |H|² e^(−a d²) over the coefficients H near q, or |Σ H e^(−a d²)|² for a centred window.
 
-    d is the difference in frequency between a coefficient and q = (u, v)/λ.
+    d is the distance in frequency of a coefficient from q = (u, v)/λ, and a is the falloff of the Gaussian weight.
     """
     # The Gaussian weight of a coefficient at q_rs is exp(−a (d² + (d·t)²/cos²θi)), where d = q − q_rs. For a source, t
     # is the tangential part of the direction to the light: the disc of the source, projected to the surface, is shorter

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 # interpolates the factors on a grid of directions. The cost of exact factors is proportional to the square of this
 # number.
 MOST_EXACT = 600
-# Size of the grid of directions: number of elevations and of azimuths. A finer grid has smaller errors and costs more.
+# Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
+# they are interpolated. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
 # Neighbouring orders are summed in bins, to save time. This is the width of a bin [units of (u, v)], about the distance
 # of two nodes of the grid of directions.
@@ -58,7 +59,8 @@ _LIGHTS = 4096
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Constant of Roberts' quasi-random sequence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
-# Largest angle from the normal for which `AchromaticFactors.spread` is measured [radians].
+# The factors for colours conserve the total power, but not that of single wavelengths. These deviations are measured
+# for light up to this angle from the normal [radians].
 _STEEPEST = math.radians(80.0)
 # First number: wavelengths per band at which energy factors are computed; they are interpolated linearly between these.
 # Second: the visible band [nm]. Outside of it, further bands with the same ratio of wavelengths follow. The bands are

@@ -27,14 +27,14 @@ def _shape(taps: int) -> float:
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Return the kernel at distances in steps of the frequency grid; it is 1 at distance 0 and 0 beyond taps/2."""
+    """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at distance 0, 0 beyond taps/2."""
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))
     return np.where(inside >= 0.0, values, 0.0)
 
 
 def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Return the transform of the kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
+    """Return the Fourier transform of the Kaiser-Bessel kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
 
     The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², for W taps.
     """

@@ -249,7 +249,7 @@ def _normalised(
     first, second = energy_normalisation.balanced(matrix, rows, columns)
     own = np.flatnonzero(~shifts.any(axis=1))[0]
     result = first[own] * second * matrix[own]
-    # Near the horizon the orders of a light are made to sum to less than 1. The rest of its power goes to the mirror
+    # For a light near the horizon, the normalised orders sum to less than 1. The rest of its power goes to the mirror
     # direction, order 0.
     result[~orders.any(axis=1)] += 1.0 - rows[own]
     return np.asarray(result)

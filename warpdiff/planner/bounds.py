@@ -74,7 +74,8 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of the request."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # The bases ``"power"`` and ``"low-rank"`` are fitted to the Jacobi-Anger series.
+    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. Their number of terms is that of the
+    # Jacobi-Anger series to which they are fitted.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)

@@ -255,7 +255,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return the plan with the number of terms that its fitted basis requires, and with its field ``aliasing``."""
+    """Return the plan with the number of terms that its fitted basis requires, and with the power of aliasing."""
     if plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
             request.heightfield, plan.method, plan.coherence, direction_range,

@@ -281,7 +281,7 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the error of a plan on the training set, as :func:`worst_percentile` defines it."""
+        """Return the 99.5th percentile of a plan's errors on the training set, for bright or for dim directions."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 

@@ -39,7 +39,7 @@ class Evaluation:
         materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
             the index of refraction.
         masking: Whether V-cavity masking is included.
-        energy: Treatment of the reflected power, one of ``settings.Energy``.
+        energy: ``"stam"``, or ``"normalised"`` if orders are scaled to sum to the reflected power.
         plan: Explicit plan, or None.
         strict: Whether a tolerance that cannot be met is an error.
         device: Warp device that runs the kernels.

@@ -263,7 +263,7 @@ class _Skin:
         return (x + self.belly) / (self.breadth + 2.0 * self.belly)
 
     def points(self, patch: _Patch) -> Floats:
-        """Return the positions of a patch's vertices in space, shape (k, 3)."""
+        """Return the positions in space of the vertices of a part of the skin, shape (k, 3)."""
         s = np.interp(patch.tau + patch.shift, self._tau, self._s)
         # The displacement `rise` moves a vertex away from the centre line of the body. This direction is nearly that of
         # the surface normal.
@@ -445,7 +445,7 @@ def _ring(skin: _Skin, n: int) -> Floats:
 
 
 def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
-    """Return a patch of rings of vertices, of which one ring has zero radius.
+    """Return a part of the mesh that closes the skin at a tip: rings of vertices, of which one has zero radius.
 
     Args:
         x: Positions of the vertices around the body, shape (n,).

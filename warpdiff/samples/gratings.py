@@ -343,7 +343,8 @@ def fingers(
     memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # In the following code, x is in units of the distance of ridges, and y in units of the length of fingers.
+    # In the following code, x is in units of the distance between ridges of fingers, and y in units of the length of a
+    # finger.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))

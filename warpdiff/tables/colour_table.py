@@ -62,7 +62,7 @@ class ColourTable:
 
     @forks.cached_property
     def struct(self) -> Any:
-        """Struct ``Colours`` that the kernels read."""
+        """Struct with the arrays and numbers of the table, which the kernels of look-ups read."""
         levels, device = self.layout.levels, self.fields["rows"].device
         result = self.kernels.Colours()
         result.first_rows = wp.array(self.layout.first_rows, dtype=wp.int32, device=device)

@@ -132,7 +132,8 @@ class ColourLookup:
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Return the kernel call that integrates over sampled wavelengths and adds the colours to ``xyz``."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # The table is stored in an attribute, because the shared cache may discard it between two calls.
+        # The coefficient table is stored in an attribute of this object, because the shared cache may discard it
+        # between two calls.
         if self._table is None:
             self._table = coefficient_table.table_for(
                 heightfield, plan, self._range, device=device, threads=self._threads

@@ -76,7 +76,7 @@ class PolarGrid:
 
     @property
     def nodes(self) -> int:
-        """Number of samples on all rings."""
+        """Total number of samples of the grid, on all rings."""
         return self.rings * sum(self.azimuths)
 
     @property

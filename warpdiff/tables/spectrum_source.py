@@ -103,11 +103,11 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernels that :meth:`sampled` and :meth:`projector` launch."""
+        """Return all kernels that sample the spectrum and project it to colours, so that callers can load them."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
-        """Sample the spectrum, independently of the illuminant and the material."""
+        """Return the samples of the spectrum, which do not depend on the illuminant and the material."""
 
     @abstractmethod
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
@@ -135,7 +135,7 @@ class SpectrumSource(ABC):
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types that project rows of the spectrum to a number of functions of w."""
+        """Return the kernels and types that convert rows of the spectrum to colours with a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
@@ -170,7 +170,7 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
+        """Return a function that projects samples of the spectrum, in one octave and the next one, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Working memory in which each azimuth sample has room for its rings of both octaves. On the CPU, the threads
         # use only the beginning of it, and the rest occupies no memory.

@@ -167,7 +167,7 @@ class Facts:
 
     @property
     def has_scale(self) -> bool:
-        """Whether a size or a pitch is stated."""
+        """Whether the header states the size, or the pitch, along both axes."""
         return None not in (self.size_x, self.size_y) or None not in (self.pitch_x, self.pitch_y)
 
     @property
@@ -189,7 +189,7 @@ def value_of(text: str) -> float:
 
 
 def facts_of(header: Sequence[str], form: Form) -> Facts:
-    """Return the facts of header lines."""
+    """Return the facts (sizes, pitches, units, channel) that the lines of a header state."""
     facts = Facts()
     lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= _MOST_LENGTH]
     for line in lines:

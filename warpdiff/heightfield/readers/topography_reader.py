@@ -143,7 +143,7 @@ def _numbered(label: str) -> Iterator[str]:
 
 
 def _damaged(file: Path, name: str, error: Exception) -> ArgumentValueError:
-    """Return the error for a file that the library cannot read."""
+    """Return the error for a file that the library SurfaceTopography cannot read."""
     return refusal(
         file, f"cannot be read as a file of {name.upper()} ({one_line(error)}); export it again, or as .x3p or text"
     )
