@@ -115,7 +115,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.struct
     class Table:
-        rows: wp.array(dtype=row_t)  # (my·mx) powers, or (my·mx·2) real and imaginary parts
+        rows: wp.array(dtype=row_t)  # for each coefficient: one row of powers, or two of real and imaginary parts
         basis: wp.array(dtype=row_t)  # basis functions at equal steps in |κ|, one before the range and two after it
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
         steps: wp.float64  # entries of ``basis`` per unit of |κ|

@@ -32,8 +32,8 @@ _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h"
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. Limit: arrays of this size are on the stack.
 BATCH = 256
-# While one direction is looked up, the rows of the direction with an index that is larger by this number are fetched
-# from memory. Choice: other numbers change only the time.
+# Rows are fetched from memory in advance: while direction i is looked up, those of direction i plus this number.
+# Choice: other numbers change only the time.
 _AHEAD = 3
 # Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. Limit: the
 # weights of the filter decrease by the factor −0.17 from sample to sample, so that the truncated ones are at most about
@@ -113,7 +113,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
         least_w: wp.float32  # |w| of the first entry of ``w_basis``
         per_w: wp.float32  # entries of ``w_basis`` per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # row of azimuth 0, (levels, octaves)
+        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, (levels, octaves)
         azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, (levels, octaves)
         blurs: wp.array2d(dtype=wp.float32)  # standard deviation of the blur in angle [rad], (levels, octaves)
         rings_per_octave: wp.int32

@@ -38,7 +38,7 @@ class ShadowGrid:
     towards: wp.vec3d  # unit vector to the light
     low_x: wp.float64  # corner of the first cell along ``across`` [steps]
     low_y: wp.float64  # corner of the first cell along ``up`` [steps]
-    per_step: wp.float64  # cells per step
+    per_step: wp.float64  # grid cells per step of positions
     columns: wp.int32
     rows: wp.int32
     is_closed: wp.bool  # whether the mesh is closed; faces that face away from the light then need no lists

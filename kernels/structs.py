@@ -32,7 +32,7 @@ class Sampling:
 
     tiles: wp.array(dtype=wp.int32)  # pixels whose cells are the rays, −1 is no pixel; empty if pixels have no cells
     places: wp.array(dtype=wp.vec2d)  # positions of a pixel's cells, (right, down) of the centre [pixels]; or empty
-    offsets: wp.array(dtype=wp.vec2d)  # position of one sample in each pixel, as ``places``; or empty
+    offsets: wp.array(dtype=wp.vec2d)  # position of the one ray in each pixel, as ``places``; or empty
 
 
 @wp.struct
@@ -77,4 +77,4 @@ class Pixels:
     normal: wp.array(dtype=wp.vec3f)  # shading normal n, unit vector, n·ωr >= 0.01
     to_view: wp.array(dtype=wp.vec3f)  # unit vector ωr to the viewer
     shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
-    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty without a pigment
+    base_colour: wp.array(dtype=wp.vec3f)  # base colour, linear RGB; empty without a pigment

@@ -152,7 +152,7 @@ def copy_batch(
     # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Copy the next pixels of a list to a batch.
+    """Copy the next pixels of a list to the batch of pixels whose cells are computed next.
 
     If the list is too short, the remaining entries of the batch are −1.
     """

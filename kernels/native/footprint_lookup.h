@@ -48,9 +48,9 @@ struct Footprints {
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the filter
-    Batch<N> xx, xy, yy, source2;              // covariance, and square root of the light source's determinant
+    Batch<N> xx, xy, yy, source2;              // covariance of (u, v); for a source, √ of its determinant
     Batch<N> angle2, ratio2, both;             // covariance of the angle and of ln |(u, v)|
-    Batch<N> along_u, along_v, parts;          // change of (u, v) by one standard deviation of the angle
+    Batch<N> along_u, along_v, parts;          // change of (u, v) with one standard deviation of the angle
     AtW<N> at_w;
 };
 

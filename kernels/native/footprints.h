@@ -102,8 +102,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     return face;
 }
 
-// Compute the changes of (u, v) for the displacements along both picture axes. The shading frame also changes: the
-// normal is interpolated between the corners of the face, and so is the tangent.
+// Compute the changes of (u, v) if the camera ray is displaced along each axis of the picture. The shading frame then
+// changes, too, because its normal and tangent are interpolated between the corners of the face.
 template <int N>
 WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
     bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)

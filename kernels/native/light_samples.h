@@ -45,7 +45,7 @@ template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
     Batch<N> towards[4];                         // direction to the light and weight, if each pixel has its own
-    Batch<N, double> light[3], uvw[3];           // in the frame: direction to the light, scattering vector
+    Batch<N, double> light[3], uvw[3];           // in the shading frame: direction to the light, scattering vector
     Batch<N> gain;
 
     template <class Pixels>

@@ -51,7 +51,7 @@ struct Raster {
     // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
     // has the number of each subdivided pixel among all subdivided ones. `aside` and `below` are the offsets of the
     // cells from the pixel centre [pixels].
-    const unsigned long long* marks; // null: one ray per pixel
+    const unsigned long long* marks; // null if pixels are not subdivided
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];

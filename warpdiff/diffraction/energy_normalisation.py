@@ -312,7 +312,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """Return the energy factors for the band that contains a wavelength [nm], from the cache if possible."""
+    """Return the energy factors for the band of wavelengths around ``wavelength_nm``, from the cache if possible."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band

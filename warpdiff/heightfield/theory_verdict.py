@@ -250,7 +250,11 @@ def _part(
 
 
 def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
-    """Return (4πs/λ)² min(1, λ/P): the estimated power that leaves the zeroth order and no other order carries."""
+    """Return the estimated power that leaves the zeroth order and that no other order carries.
+
+    It is (4πs/λ)² min(1, λ/P), where s is the standard deviation of the heights, and P the period of a sine with this s
+    and the mean slope of the surface.
+    """
     rms = heightfield.rms_um / wavelength_um
     if rms == 0.0:
         return 0.0

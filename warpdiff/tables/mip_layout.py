@@ -147,10 +147,10 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the index of the mip level from which one octave of ``level`` is computed by a further blur.
+        """Return the finer mip level from which one octave of ``level`` is computed, by a further blur.
 
-        It is the most blurred finer level for which the standard deviation of the further blur is at least the distance
-        of its azimuth samples.
+        It is the most blurred level for which the standard deviation of the further blur is at least the distance of
+        azimuth samples.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
