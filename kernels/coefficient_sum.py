@@ -21,8 +21,8 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of coefficients along an axis from which the amplitude at a frequency is interpolated. Limit: time is
 # proportional to it.
 TAPS = 8
-# The interference factor of N periods is 0/0 at its maximum, t = 0. Where N t is smaller than this number, a parabola
-# replaces it. Derived: the error of the parabola is of fourth order in N t.
+# Value of N t below which a parabola replaces the interference factor of N periods, which is 0/0 at its maximum, t = 0.
+# Derived: the error of the parabola is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 

@@ -32,8 +32,8 @@ _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h"
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. Limit: arrays of this size are on the stack.
 BATCH = 256
-# Rows are fetched from memory in advance: while direction i is looked up, those of direction i plus this number.
-# Choice: other numbers change only the time.
+# Number of directions by which memory accesses run ahead: while one direction is looked up, the rows of a later one are
+# fetched from memory. Choice: other numbers change only the time.
 _AHEAD = 3
 # Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. Limit: the
 # weights of the filter decrease by the factor −0.17 from sample to sample, so that the truncated ones are at most about
@@ -48,8 +48,8 @@ _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which a footprint is divided where the angle of (u, v) changes within it. Limit: time is
 # proportional to the parts.
 MOST_PARTS = 12
-# Distance from its centre at which a wide blur over rings is truncated [standard deviations]. Limit: time is
-# proportional to it.
+# Distance from the centre of a wide blur over rings at which the blur is truncated [standard deviations]. Limit: time
+# is proportional to it.
 DEVIATIONS = 3.0
 
 

@@ -2,9 +2,9 @@
 
 import math
 
-# Values are converted to coefficients of the spline through them by a filter whose weights decrease by this factor (its
-# pole) from node to node. Derived from the values of the quadratic B-spline at nodes, 1/8, 3/4 and 1/8. With another
-# number, splines do not pass through the values.
+# Pole of the filter that converts values at nodes to coefficients of the spline through them: the factor by which the
+# weights of the filter decrease from node to node. Derived from the values of the quadratic B-spline at nodes, 1/8, 3/4
+# and 1/8. With another number, splines do not pass through the values.
 POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 

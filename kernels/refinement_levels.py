@@ -18,8 +18,8 @@ FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # level before, and takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# For tolerances of at least this number, the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that
-# remain at that level are smaller than this tolerance.
+# Tolerance from which on the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that level
+# are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
 # Least level of refinement of pictures without footprints. Limit: with one ray per pixel, the variation of colours
 # within a pixel is unknown.
@@ -39,12 +39,12 @@ CAUTION, EDGE_FACTOR = 2.0, 1.5
 # decrease as n^−ERROR_ORDER, where n is the number of its cells along an axis. Fitted: 95 of 100 pixels have a smaller
 # error.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
-# The error of a mean over random samples is estimated as this number of standard deviations of the mean. Limit: with
-# twice the value, pictures under sampled lights require four times as many samples.
+# Estimated error of a mean over random samples, divided by the standard deviation of the mean. Limit: with twice the
+# value, pictures under sampled lights require four times as many samples.
 SCATTER_FACTOR = 1.5
-# Refinement uses the 99th percentile of Y as the reference luminance Y*, so that this share of the illuminated pixels
-# is brighter. Derived: one minus the percentile. The Y* of reported errors may be larger, because it is also at least
-# the luminance-weighted median of Y. Refinement is then stricter than the report.
+# Share of the illuminated pixels that are brighter than the reference luminance Y* of refinement, the 99th percentile
+# of Y. Derived: one minus the percentile. The Y* of reported errors may be larger, because it is also at least the
+# luminance-weighted median of Y. Refinement is then stricter than the report.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 

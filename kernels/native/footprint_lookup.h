@@ -22,8 +22,8 @@ constexpr int ABREAST = batch_of(8);
 // Largest number of rings per segment. Limit: on the CPU, weights and rows of all rings are stored in local arrays. A
 // GPU does not store them.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Footprints whose standard deviation exceeds this share of |(u, v)| are wide: `ring_sum.h` computes their colours.
-// This applies only to tables for a window. Fitted: 0.15 makes frames 5 to 10 % slower.
+// Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide, and `ring_sum.h`
+// computes its colour. This applies only to tables for a window. Fitted: 0.15 makes frames 5 to 10 % slower.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
 // within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
@@ -271,8 +271,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The angle may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring. The remaining
-            // variance of the angle blurs each ring. The quadratic spline between rings adds a variance of ¼ rings².
+            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring.
+            // The remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance
+            // of ¼ rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;

@@ -19,8 +19,8 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 #else
 
-// Corners of faces, projected into the picture, are rounded to this number of steps per pixel. Derived: with 2^14,
-// products of positions are exact in float64, and no ray passes between two adjacent faces.
+// Number of steps per pixel to which the corners of faces are rounded after projection into the picture. Derived: with
+// 2^14, products of positions are exact in float64, and no ray passes between two adjacent faces.
 constexpr double PER_PIXEL = 1 << 14;
 // Distance of the near plane from the eye [radii of the mesh]. Parts of faces in front of it are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# The basis is tabulated over κ. This is the number of table entries per radian of the fastest oscillation of a power,
-# e^{2πiκ(h − h')}. The error of cubic interpolation between entries is 0.023/16⁴ = 4e-7. Amplitudes oscillate half as
-# fast, if heights are measured from the middle of their range, and their error is 2e-8.
+# Number of entries in the table of a basis over κ, per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}.
+# The error of cubic interpolation between entries is 0.023/16⁴ = 4e-7. Amplitudes oscillate half as fast, if heights
+# are measured from the middle of their range, and their error is 2e-8.
 _STEPS_PER_RADIAN = 16
 # Smallest number of steps in the table of a basis over κ. It is for shallow surfaces, whose powers do not oscillate
 # over κ but grow as κ²ⁿ.
@@ -44,7 +44,7 @@ _FEWEST_STEPS = 64
 # Largest truncation error of the Jacobi-Anger series to which other bases are fitted: about the rounding error of
 # float32.
 _SERIES_TOLERANCE = 1e-7
-# A fitted basis gets no further terms when its truncation error is below this, about the rounding error of float32.
+# Truncation error below which a fitted basis gets no further terms, about the rounding error of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
 # Number of the largest coefficients to which the fit of a basis gives a special weight: together they have the same
 # weight as all coefficients. Otherwise the specular reflection, which is only one of a million coefficients, would
@@ -57,9 +57,9 @@ _PERCENTILE = 99.9
 # Power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A fit minimises the errors
 # of coefficients relative to their size; coefficients smaller than this noise count as being of this size.
 _NOISE_POWER = 1e-26
-# A fit minimises errors relative to |κ|, because all coefficients except the specular one vanish at κ = 0. Smaller |κ|
-# than this share of the largest |κ| count as this share: with a smaller share, the specular coefficient would lose
-# digits.
+# Smallest |κ| that is a divisor of errors in a fit, as a share of the largest |κ|. A fit minimises errors relative to
+# |κ|, because all coefficients except the specular one vanish at κ = 0. With a smaller share, the specular coefficient
+# would lose digits.
 _SMALL_KAPPA = 0.1
 # Number of coefficients that a fit processes at once. Limit: memory is proportional to it.
 _CHUNK = 65_536

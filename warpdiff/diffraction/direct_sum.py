@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# The sum includes coefficients up to this distance from q, in standard deviations of their Gaussian weight. The weight
+# Distance from q up to which the sum includes coefficients, in standard deviations of their Gaussian weight. The weight
 # at this distance is e^−32.
 _WIDTHS = 8.0
 # Peak memory of the sum per height sample and per coefficient [bytes], counted from the code.

@@ -41,14 +41,14 @@ MOST_EXACT = 600
 # Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Neighbouring orders are summed in bins, to save time. This is the width of a bin [units of (u, v)], about the distance
-# of two nodes of the grid of directions.
+# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. It is about
+# the distance of two nodes of the grid of directions.
 _BIN = 0.08
 # Sinkhorn's iteration, which finds the factors, ends after the first number of steps, or when no factor changes by more
 # than the second number, relative to it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# The power of a bin of orders is tabulated over |κ| and interpolated by parabolas. This is the number of entries per
-# two radians of the fastest oscillation of a power.
+# Number of entries in the table of a bin's power over |κ|, per two radians of the fastest oscillation of a power.
+# Parabolas interpolate between entries.
 _PER_RADIAN = 6.0
 # Largest number of entries of each cache of energy factors; an entry belongs to one height field.
 _CACHED = 8

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 # in ten of the gratings with a larger deviation have an order that is wrong by more than a tenth of the reflected
 # power.
 _MOST_DEVIATION = 0.2
-# Least value of a flat surface's reflectance as the divisor of a sum over orders. An antireflective film may have a
-# reflectance of 0 up to rounding.
+# Smallest reflectance of a flat surface by which a sum over orders is divided. That of an antireflective film may be 0
+# up to rounding.
 _LEAST_REFLECTANCE = 1e-12
 # Measured memory of a call [bytes]: per height sample; per order and wavelength; and per order and term of the
 # polynomials that interpolate over κ.

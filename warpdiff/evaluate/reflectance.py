@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves the step between wavelengths until XYZ converges: until its relative change is at most this
-# share of the tolerance.
+# Relative change of XYZ, as a share of the tolerance, at which the direct method has converged. It halves the step
+# between wavelengths until then.
 _DIRECT_SETTLED = 0.05
 # Limit on the number of wavelengths of the direct method. Time is proportional to it: at this limit, a direction
 # requires several seconds.

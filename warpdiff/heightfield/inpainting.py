@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-# The solver stops when the residual of the linear equations is at most this share of its first value.
+# Residual of the linear equations, relative to its first value, at which the solver stops.
 _CONVERGED = 1e-10
 # Limit on the number of steps of the conjugate gradient method; about twenty steps suffice.
 _MOST_STEPS = 200

@@ -45,8 +45,8 @@ _STENCIL = 6
 # at most the second number times the sum of all weights (rounding errors).
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# If the steps of a tabulated spectrum are less than 1 nm by at most this number [nm], they count as 1 nm. Limit:
-# rounding of the wavelengths in a file.
+# Largest deficit by which steps of a tabulated spectrum below 1 nm still count as 1 nm [nm]. Limit: rounding of the
+# wavelengths in a file.
 _STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Shortest and longest wavelength that a material accepts [µm], from the limits in `warpdiff.optics.colorimetry`.
 _LEAST_UM, _MOST_UM = SHORTEST_NM / NM_PER_UM, LONGEST_NM / NM_PER_UM
-# A formula is tabulated at this number of wavelengths, with equal ratios, and interpolated linearly between them. If
+# Number of wavelengths, with equal ratios, at which a formula is tabulated; the index is linear between them. If
 # halved, the index of the glass N-BK7 is wrong by up to 4e-5.
 _STEPS = 512
 # Constant in Herzberger's formula for the index of refraction [µm²]. It is a part of the formula's definition.

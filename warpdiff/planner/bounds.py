@@ -37,8 +37,8 @@ AMPLITUDE_MARGIN = 1e-3
 # square root of the first entry, 1e-4, divided by 100 as a margin. If doubled, tails of the zeroth order are missing in
 # the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# The same share for plans that no trial has validated. Derived: the luminance of a call may be as small as 1e-10 of
-# that of a mirror (DARK).
+# Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance, for plans that no trial has
+# validated. Derived: the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require.
 # Fitted for D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the
@@ -130,10 +130,10 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # For a source, wavelengths have equal ratios instead of equal steps of 1/λ. Their largest step in 1/λ, at 380 nm,
-    # is ``wider`` times the equal step. The numbers b and c are multiplied by this factor. For the number a it is not
-    # necessary: the coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a
-    # constant width in ln λ.
+    # The wavelengths for a source have equal ratios instead of equal steps of 1/λ. Their largest step in 1/λ, at 380
+    # nm, is ``wider`` times the equal step, and b and c are multiplied by this factor. The number a is not: the
+    # coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in
+    # ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN

@@ -32,12 +32,12 @@ _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
 # less than that.
 _OCTAVES = 3
-# A search tries only certain bandwidths: the upper bound for this tolerance, multiplied by powers of 2 in steps of
-# 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance could give a
-# slightly more expensive plan than a smaller one.
+# Tolerance of the upper bound from which the bandwidths follow that searches try: multiples of its bandwidth by powers
+# of 2, in steps of 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance
+# could give a slightly more expensive plan than a smaller one.
 _GRID_TOLERANCE = 1e-2
-# If fewer validation directions than this are bright, a search uses a smaller part of its error budget, because so few
-# do not represent the bright directions of a call well. Fitted to random calls with few bright directions
+# Number of bright validation directions below which a search uses only a part of its error budget, because so few do
+# not represent the bright directions of a call well. Fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # The part of the remaining error budget that a search uses if fewer than MIN_BRIGHT validation directions are bright.
@@ -87,8 +87,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
         # In some directions, sums of powers lose their digits in float32, because large terms cancel. If only the
-        # validation set contains such directions, the error becomes visible only here. A plan with amplitudes does not
-        # have it.
+        # validation set contains such directions, the error becomes visible only at the end of a search. A plan with
+        # amplitudes does not have it.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
     # The predicted error is divided among its sources in proportion to their measured errors.
     share = predicted_error(error, plan, trial) / sum(errors.values())

@@ -28,11 +28,11 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
-# Costs of a sum over coefficients, without those of its products [multiply-adds]. First number: per wavelength, or per
-# sample of the interference factor. Second number: per basis term or neighbour. Fitted.
+# Costs of a sum over coefficients, in addition to the cost of multiplying rows [multiply-adds]. First number: per
+# wavelength, or per sample of the interference factor. Second number: per basis term or neighbour. Fitted.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
-# Cost of sampling the spectrum for a table, without that of the products [multiply-adds]: per sample, or per spectral
-# line under a source. Fitted.
+# Cost per sample of the spectrum for a table, or per spectral line under a source, in addition to the cost of
+# multiplying rows [multiply-adds]. Fitted.
 _COST_OF_SAMPLE = 150.0
 # Costs of computing a table from the spectrum [multiply-adds]. First number: filtering and writing one number of a row.
 # Second number: one product of the projection to colours, which is cheap because its loop uses SIMD instructions only.

@@ -33,8 +33,8 @@ _PATCH_IN_SIGMAS = 20.0
 # Largest number of wavelengths times subdivisions for replicas. Limit: the memory of the quadrature is proportional to
 # it.
 _MOST_SAMPLES = 2_000_000
-# If the directions of a call exceed the range of an explicit plan by at most this share, no warning is given:
-# coefficients are computed for a range that is larger by more than this.
+# Relative excess of the directions of a call over the range of an explicit plan up to which no warning is given.
+# Coefficients are computed for a range that is larger by more than this.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",

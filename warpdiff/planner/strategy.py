@@ -54,8 +54,8 @@ _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
 # Time that a search requires, expressed as the number of directions that its plan evaluates in the same time. Fitted to
 # 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
-# If the caller selects a method that adds powers, a trial measures its rounding error in float32, but only for at least
-# this number of directions. Limit: a trial requires about a second.
+# Smallest number of directions for which a trial measures the rounding error in float32 of a method that adds powers
+# and that the caller selects. Limit: a trial requires about a second.
 _FEWEST_TRIED = 16
 # Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
 # If doubled, the planner prefers a table for about half as many directions.

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# A search first tries the smallest table whose expected error is at most this share of the tolerance. Fitted to the
-# planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and
-# another one must be computed.
+# Largest expected error of the table that a search tries first, as a share of the tolerance. Fitted to the planning
+# times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and another one
+# must be computed.
 _FIRST_SHARE = 0.35
-# A search tries larger tables as long as they help: the error of a table must be at most this share of the least error
-# so far, and at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the
+# Largest ratio of the error of a table to the least error so far at which a search goes on to larger tables. The error
+# must also be at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the
 # rings, the smallest step of the table size, reduce the error to 0.6.
 _HELPS = 0.7
 

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# A plan is accepted if its error on the validation set is at most the tolerance divided by this factor. Fitted by
-# bench.reproduce.tolerance_sweep: in one call of a hundred, the error of all directions exceeds that of the validation
-# set by more than this factor.
+# Safety factor: the tolerance divided by the largest error on the validation set with which a plan is accepted. Fitted
+# by bench.reproduce.tolerance_sweep: in one call of a hundred, the error of all directions exceeds that of the
+# validation set by more than this factor.
 SEARCH_SAFETY = 1.6
 # Number of the brightest candidates that may be outliers, if the call has more directions than candidates. The floor of
 # relative errors is computed with and without them. Fitted to a call in which one of 6,312 directions, in the mirror
@@ -42,8 +42,8 @@ SEARCH_SAFETY = 1.6
 _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, as a share of the luminance of a mirror. Limit: weaker light is invisible.
 DARK = 1e-10
-# Errors of the reference, or of a basis, are neglected if they are below this share of the tolerance. Limit: they must
-# be small compared with the errors that a trial measures.
+# Share of the tolerance below which errors of the reference, or of a basis, are neglected. Limit: they must be small
+# compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
 # Method of the reference plan. It expands amplitudes, which are accurate in float32 even for coefficients that vanish
 # like a high power of κ; powers are not.

@@ -159,8 +159,8 @@ def _order_light(
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # The power of an order falls off with this distance as exp(−falloff · distance²). Replicas have no window, and get
-    # an arbitrary falloff of 1 µm².
+    # The power of an order is multiplied by exp(−falloff · `away`), where `away` is the squared distance in frequency
+    # of a direction from the order. Replicas have no window, and get an arbitrary falloff of 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
         # For a centred window, the falloff of amplitudes is used. With that of powers, which is twice as large,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LANES = 8
 # Smallest number of wavelengths in a quadrature, the numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# A coefficient table contains all neighbours down to this Gaussian weight, even if the plan excludes neighbours with
+# Gaussian weight down to which a coefficient table contains all neighbours, even if the plan excludes neighbours with
 # larger weights. All these plans can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
 # Smallest number of intervals between wavelengths for replicas. Limit: the power of one patch is interpolated by cubics

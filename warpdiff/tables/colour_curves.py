@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 # Number of values of |w| at which the functions of w are tabulated: at least 32 per oscillation of a function. Cubics
 # interpolate between them.
 _ENTRIES_OVER_W = 160
-# Errors of colours by truncating the functions of w are relative to the size of the colours at the same |w|, but at
-# least to this share of their largest size over all |w|.
+# Smallest divisor of relative errors by truncating the functions of w, as a share of the largest size of the colours
+# over all |w|. Otherwise errors are relative to the size of the colours at the same |w|.
 _LEAST_SCALE_OVER_W = 1e-2
-# For the fit of splines, the colour curves are sampled at this number of wavelengths from one ring to the next.
+# Number of wavelengths from one ring to the next at which the colour curves are sampled, for the fit of splines.
 _SAMPLES_PER_NODE = 64
-# The fit of splines minimises errors relative to the values of a colour curve, but at least relative to this share of
-# its largest value, because the curves vanish at both ends of the spectrum.
+# Smallest divisor of relative errors in the fit of splines, as a share of the largest value of a colour curve.
+# Otherwise errors are relative to the values of the curve, which vanish at both ends of the spectrum.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle; the first number is its cos θd. The ratio of the
 # reflectance at other angles to this one is approximated by a sum of products: a function of |(u, v)| times a function
@@ -49,8 +49,8 @@ _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # smallest and largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon need
 # the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smaller reflectances than this share of the largest one are replaced by it in colour curves. Thin films reflect
-# nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
+# Smallest reflectance in colour curves, as a share of the largest one; smaller ones are replaced by it. Thin films
+# reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 

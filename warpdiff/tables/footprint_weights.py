@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 # its blur.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
-# is from 0.9 to 2.1. The weights for spectra under a window are fitted for this value.
+# is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two samples for which tap weights are tabulated.
 _TAP_POSITIONS = 64
-# A long footprint, divided into n parts, is represented by n narrower Gaussians. The variance of each is this number
-# divided by n, relative to the variance of the whole footprint. If doubled, parts become 1.4 times as wide, and polar
+# Variance of each part of a long footprint, times the number n of parts, relative to the variance of the whole
+# footprint. The footprint is represented by n narrower Gaussians. If doubled, parts become 1.4 times as wide, and polar
 # coordinates, which are linearised within a part, become less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 

@@ -27,7 +27,7 @@ _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur by the window. Derived: within it, the
 # spectrum deviates from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# The lines of a source's spectrum are blurred in a table by this standard deviation, in distances of azimuth samples.
+# Standard deviation by which the lines of a source's spectrum are blurred in a table, in distances of azimuth samples.
 # Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of its total blur.

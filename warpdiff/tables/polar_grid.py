@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Tables of sources have more azimuth samples than other tables, by this factor. More samples reduce the blur of the
-# table itself, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the
-# factor.
+# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
+# itself, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
 # Smallest |(u, v)| that tables of sources serve, in standard deviations of the source. Nearer to the mirror direction,
 # a blur in polar coordinates is inaccurate: at a quarter of this limit, the median error was 4e-2.
@@ -47,8 +46,8 @@ LOG_RED, LOG_BLUE = (
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
 ERROR_ORDER = 2.0
-# Neighbouring diffraction orders count as separate if their distance exceeds this number of standard deviations of an
-# order in the spectrum.
+# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of an order in
+# the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
 # Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
 # random scatter of the sky samples. Fitted: at a tolerance of 0.1, colours under a smooth sky at 80° have an error of

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# The basis of a spectrum begins at this share of its largest |κ|. At smaller |κ|, all orders except the zeroth one are
-# negligible.
+# Smallest |κ| of the basis of a spectrum, as a share of its largest |κ|. At smaller |κ|, all orders except the zeroth
+# one are negligible.
 _SMALLEST_KAPPA = 1e-3
 # Permitted errors of truncating the functions of w, as shares of the tolerance. First number: for a basis of powers.
 # Second number: for cardinal polynomials in |κ|, whose sums may be much smaller than their single terms.
@@ -47,7 +47,7 @@ _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 _ZEROTH_ENTRIES = 2048
 # Peak memory while spectral lines are listed [bytes per line], counted from the code.
 _BYTES_PER_LINE = 80.0
-# Spectral lines are blurred in angle by a Gaussian, which is truncated at this number of standard deviations.
+# Distance in angle at which the Gaussian blur of a spectral line is truncated, in standard deviations of the blur.
 _LINE_RADIUS_SIGMAS = 4.5
 
 

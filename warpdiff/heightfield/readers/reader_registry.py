@@ -25,8 +25,9 @@ Rows = Literal["down", "up"]
 # Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers
 # that confuse units give such sizes. If doubled, sizes that are wrong by a smaller factor are accepted.
 _MOST_EXTENT_UM = 1e6
-# A file may state a pitch and the caller may state it too. Both agree if their relative difference is at most this,
-# because headers are rounded. If doubled, arguments that contradict a file slightly more are ignored.
+# Largest relative difference between the pitch that a file states and the pitch that the caller states. Small
+# differences are accepted, because headers are rounded. If doubled, arguments that contradict a file slightly more are
+# ignored.
 _MOST_DIFFERENCE = 1e-3
 # Largest number of channels that an error message lists. Limit: a longer message is unreadable.
 _MOST_NAMES = 12

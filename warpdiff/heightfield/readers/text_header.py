@@ -83,7 +83,8 @@ _PITCH_Y = _names(
     "pixel size y|y pixel size|pixel height|dy|y step|step y|y step size|step size y|y pitch|pitch y|y spacing",
     "spacing y|y increment|increment y|y-increment|y sampling|sampling y|y interval|ypixelsize|pixelsizey",
 )
-# The keys "step" and "pitch" alone are not in this set, because they may state the step of the focus along z.
+# Keys of the pitch along both axes. "Step" and "pitch" alone are not among them, because they may state the step of the
+# focus along z.
 _BOTH_PITCHES = _names(
     "pixel size|pixelsize|pixel pitch|lateral sampling|sampling interval|sampling distance|sample spacing|spacing",
     "point spacing|grid spacing|lateral spacing|lateral step|xy calibration|xy-calibration|xy-justierung|dxy",

@@ -35,15 +35,15 @@ _MOST_NARROW_ROWS = 9
 # Largest ratio of the pitches along x and y that is accepted from a header. A larger one suggests that the header
 # states the range of the heights and not a size. If doubled, more such ranges are mistaken for sizes.
 _MOST_ASPECT = 50.0
-# A header may state both a size and a pitch. They agree if the relative difference of the size and the number of
-# samples times the pitch is at most this. If doubled, more contradictions pass.
+# Largest relative difference between the size that a header states and its number of samples times its pitch. If
+# doubled, more contradictions are accepted.
 _MOST_DIFFERENCE = 0.01
-# The size of a pixel is in this line of a Zygo XYZ file, counted from 1.
+# Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
 _ZYGO_LINES = 8
 # Smallest share of the positions of a grid at which a file of points x, y, z must have points.
 _LEAST_FILLED = 0.5
-# A first row or column in even steps may be positions instead of heights. It counts as positions from this number of
-# steps on. If halved, more small matrices of heights are refused.
+# Number of even steps from which on a first row or column counts as positions instead of heights. If halved, more small
+# matrices of heights are refused.
 _LEAST_NUMBERED = 4
 
 
