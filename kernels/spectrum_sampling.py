@@ -146,7 +146,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy ``length`` rows for each of a few azimuths to working memory, from the ring before the octave on."""
+        """Copy the rows from which the colours of one octave are computed to working memory, for a few azimuths."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "

@@ -59,8 +59,8 @@ _LIGHTS = 4096
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Constant of Roberts' quasi-random sequence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
-# The factors for colours conserve the total power, but not that of single wavelengths. These deviations are measured
-# for light up to this angle from the normal [radians].
+# Largest angle from the normal of the light for which deviations of the reflected power at single wavelengths are
+# measured [radians]. The energy factors for colours conserve only the total power of all wavelengths.
 _STEEPEST = math.radians(80.0)
 # First number: wavelengths per band at which energy factors are computed; they are interpolated linearly between these.
 # Second: the visible band [nm]. Outside of it, further bands with the same ratio of wavelengths follow. The bands are

@@ -258,7 +258,7 @@ def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, 
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with the reference's method, whose amplitudes do not cancel in float32 as powers do."""
+    """Return the plan with the reference's method: its amplitudes are accurate where powers cancel in float32."""
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 

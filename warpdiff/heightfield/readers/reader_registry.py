@@ -46,7 +46,7 @@ class FileContent:
         has_unit: Whether floating-point samples are in µm. If False, the caller states their unit.
         pitch_in_unit: Pair (dy, dx) in the unit that the caller states, for files with coordinates without a unit.
         is_known_scale: Whether the file was written by `HeightField.save`. Its units are then certain, and no check
-        asks whether the sizes and heights are plausible.
+            asks whether the sizes and heights are plausible.
         metadata: Facts about instrument and measurement that the file states, as text by name.
     """
 

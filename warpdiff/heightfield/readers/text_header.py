@@ -124,7 +124,7 @@ class Facts:
         count_y: Number of rows.
         units: Sizes of all units that the header states for the heights. Several ones contradict each other.
         factor_key: Key of a factor by which the program scales heights. The factor is not applied, and the file is
-        refused. An empty string if there is none.
+            refused. An empty string if there is none.
         not_length: Unit of the values if it is no unit of length, such as V; an empty string if there is none.
         factor: Height of a value of 1, if the header states it as a "height conversion factor".
         lateral: Size of the unit of the positions along x and y.

@@ -1,7 +1,7 @@
 """Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
 
 One procedure reads the exports of all programs. It finds the separator and the decimal sign by trying which ones give
-    the most numbers. It takes units from the header and never guesses them.
+the most numbers. It takes units from the header and never guesses them.
 """
 
 from __future__ import annotations

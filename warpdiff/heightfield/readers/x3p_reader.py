@@ -1,7 +1,7 @@
 """Reader of ``.x3p`` files of ISO 25178-72: a zip archive of an XML header and of binary heights.
 
 Files that deviate from the standard without an effect on the heights are accepted: other revisions, namespaces or
-    folders, and wrong checksums.
+folders, and wrong checksums.
 """
 
 from __future__ import annotations
