@@ -221,7 +221,7 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Only the rows of samples near the pit are computed; this saves time.
+            # The heights are computed only in the rows of samples near the pit, to save time.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
             offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
@@ -348,7 +348,8 @@ def fingers(
     scale_checks.warn_of_grating(period, height_um=height)
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # From here on, x is in units of the distance of ridges, and y in units of the length of fingers.
+    # In the following code, x is in units of the distance between ridges of fingers, and y in units of the length of a
+    # finger.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
@@ -367,7 +368,8 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # Only columns near the ridge are processed. In other columns its contribution is smaller than rounding errors.
+        # A ridge is added only to the columns of samples near it. In other columns its height is smaller than rounding
+        # errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]
