@@ -58,7 +58,7 @@ FAULTS = """async () => {
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
-    """Handler of requests that logs nothing."""
+    """HTTP request handler that writes no log."""
 
     def log_message(self, *_: Any) -> None:
         pass
@@ -66,7 +66,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """Serve a folder on this machine while the context lasts, and yield its address."""
+    """Serve a folder by HTTP on this machine while the context lasts, and yield its address."""
     handler = functools.partial(_Quiet, directory=os.fspath(folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -34,7 +34,7 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls are never changed: they make messages, names for messages, types, or options of the compiler.
+# Functions whose calls are never changed. They only make messages or types, or set options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
 # File that lists the faults of headers. Each line is "header: text". The text contains «old|new», and with old in its

@@ -55,11 +55,12 @@ KINDS = ("averaged", "centred", "source", "replicas")
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces
-# Numbers of wavelengths below 16, in quarter octaves. They are equal for all directions, because a plan with different
-# numbers per direction has at least 16.
+# Numbers of wavelengths below 16, in steps of a quarter octave (a factor of 2^(1/4)). They are equal for all
+# directions, because a plan with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
-# Shares of a plan's bandwidth: `CONSTANTS` is the share that is equal for all directions, in quarter octaves. `SPLITS`
-# is the part of the remaining share that is proportional to the order rate; the rest is proportional to |w|.
+# Shares of a plan's bandwidth that are tried. `CONSTANTS` are values of the share that is equal for all directions, in
+# steps of a quarter octave. `SPLITS` are values of the part of the remaining share that is proportional to the order
+# rate; the rest is proportional to |w|.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 # Numbers of values that are tried from the least sufficient value on: `MORE_TERMS` for terms, and `MORE_EXPONENTS` for
@@ -172,7 +173,8 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        # The floor of errors is derived from the luminance of all planned directions, which these few do not represent.
+        # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
+        # do not represent that luminance, which is therefore an argument.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)

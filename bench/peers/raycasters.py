@@ -127,9 +127,9 @@ def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]
 
 @wp.kernel
 def query(
-    # In:
+    # Mesh and rays, read by this kernel. Thread 0 traces the ray with the index ``first``.
     mesh_id: wp.uint64, origins: wp.array(dtype=wp.vec3f), directions: wp.array(dtype=wp.vec3f), first: wp.int32,
-    # Out:
+    # Index of the face that each ray hits, and barycentric coordinates of the hit, written by this kernel.
     face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
 ):  # fmt: skip
     """Find the face that each ray hits, −1 for a miss, and the barycentric coordinates of its first two corners."""
@@ -200,7 +200,8 @@ def _mitsuba(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = last[0].is_valid().numpy()
-        # Mitsuba's barycentric coordinates belong to the second and third corner.
+        # Mitsuba's two barycentric coordinates belong to the second and third corner. That of the first corner follows,
+        # because the sum of all three is 1.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
         return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))

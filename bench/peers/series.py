@@ -48,6 +48,8 @@ SETTINGS: list[dict[str, Any]] = [
 class Series:
     """Taylor series of the Fourier coefficients of a height field, with the quadrature over λ, for one setting.
 
+    The height h is written as offset + a·g, where a is the scale of the heights and |g| <= 1.
+
     Attributes:
         rows: Real and imaginary parts of iⁿ DFT{gⁿ} for all n, with g = (h − offset)/a, shape (my·mx, 2, terms).
         columns: Number mx of columns of coefficients.
@@ -126,8 +128,8 @@ def rows_of(
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # The phases of the coefficients are those of a window in the centre of the patch. An averaged window is not
-    # affected by them.
+    # The coefficients have the phases of a window in the centre of the patch. Results of an averaged window do not
+    # depend on these phases.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

@@ -223,7 +223,8 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
     """Return a picture of a crop's scene, and whether rendering warned."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
-        # The theory's own error is not that of the computation.
+        # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
+        # measured.
         warnings.filterwarnings("ignore", "scalar diffraction is", wd.WarpdiffWarning)
         image = wd.shade(
             area.mesh, area.heightfield, area.light, view, tolerance=tolerance, samples_per_pixel=samples, pigment=0.0,

@@ -161,7 +161,8 @@ def _judge(
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         seconds = time.perf_counter() - begin
-        # Errors are relative to the luminance of the whole picture. All chosen pixels may be darker.
+        # The floor of the errors is derived from the luminance of the whole picture, because all chosen pixels may be
+        # darker.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance

@@ -125,7 +125,7 @@ def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: a
 
 
 def measured(draw: Any) -> float:
-    """Return the processor time of a picture [s], the median of three."""
+    """Draw a picture three times. Return the median of the processor times [s]."""
     times = []
     for _ in range(3):
         begin = time.process_time()

@@ -303,8 +303,8 @@ def scan_windows(setup: Setup) -> Table:
 # Figures of reflectance maps.
 
 
-# Exposures of reflectance maps, which equal those of the demonstration. One-dimensional gratings reflect all light into
-# one line of the map, and have the smaller exposure `LINE`.
+# Exposures of reflectance maps, equal to those of the web demonstration. `LINE` is for one-dimensional gratings, which
+# reflect all light into one line of the map; `AREA` is for other surfaces.
 LINE, AREA = 0.04, 3.0
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 IOR = 1.5
 # Width of the pictures whose pixels are timed.
 WIDTH = 960
-# Number of illuminated pixels of a frame. Times per pixel are multiplied by it to estimate times per frame.
+# Number of illuminated pixels of a frame. A time per pixel is multiplied by this number to estimate the time per frame.
 FRAME_PIXELS = 150_000
 
 

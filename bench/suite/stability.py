@@ -286,8 +286,8 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 def pitch(which: slice = ALL) -> Panel:
     """Return the panel of the sample spacing.
 
-    If the pitch is too coarse, methods that use the height samples as they are have large errors by aliasing.
-    Resampling to 0.02 µm before the call reduces the error.
+    If the pitch is too coarse, methods that use the height samples unchanged have large errors by aliasing. Resampling
+    to 0.02 µm before the call reduces the error.
     """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
@@ -315,7 +315,8 @@ def periods(which: slice = ALL) -> Panel:
         points.start()
         lights, views = methods.near_resonance(heightfield, away, wavelength)
         scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
-        # The phase is computed from the same vectors as the reference, so that both have the same rounding errors.
+        # The phase between neighbouring periods is computed from the same vectors as in the reference, so that both
+        # have the same rounding errors.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
             direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]

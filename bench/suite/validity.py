@@ -144,7 +144,8 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-    # Periods and depths are relative to the wavelength, which is 1 µm in this call.
+    # Periods and depths are stored in units of the wavelength. In this call the wavelength is 1 µm, so that both are in
+    # µm.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
     return float(np.max(np.abs(efficiencies - rigorous)))
@@ -166,7 +167,7 @@ def measure(setting: Setting) -> dict[str, Any]:
                     every = zip(ANGLES, angles, strict=True)
                     worst.append(max(error(shape, index, period, depth, angle, row) for angle, row in every))
         errors = np.array(worst).reshape(len(periods), len(depths)).round(5)
-        # Lengths are in wavelengths: of 1 µm here.
+        # Periods and depths are stored in units of the wavelength. At a wavelength of 1 µm, as here, both are in µm.
         expected = [[verdict_on(GRATINGS[shape](p, d, samples=SAMPLES), 1000.0).error for d in depths] for p in periods]
         maps[case], verdicts[case], rules[case] = errors.tolist(), expected, rule(errors, np.array(expected))
     return results | {"maps": maps, "verdicts": verdicts, "rule": rules}

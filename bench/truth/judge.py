@@ -98,7 +98,8 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
     }  # fmt: skip
     with witnessed() as planned, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
-        # The theory's own error is not that of the computation.
+        # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
+        # measured.
         warnings.filterwarnings("ignore", "scalar diffraction is", wd.WarpdiffWarning)
         if case.picture is not None:
             picture = case.picture
