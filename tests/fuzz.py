@@ -193,7 +193,7 @@ def _one_of(make):
 
 
 def topography(**changes) -> SimpleNamespace:
-    """A map as SurfaceTopography returns it, with changes."""
+    """Return an object with the attributes of a map that SurfaceTopography reads. ``changes`` replaces some of them."""
     known = {"heights": lambda: np.zeros((3, 2)), "physical_sizes": (3.0, 2.0), "unit": "um", "dim": 2}
     return SimpleNamespace(**known | changes)
 

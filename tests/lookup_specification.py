@@ -344,7 +344,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.kernel(module="unique", module_options=options(max_unroll=1))
     def integrate(
-        # In:
+        # Table, directions and footprints, read by this kernel. ``run`` directions are processed per thread.
         table: Colours,
         scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
@@ -353,7 +353,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Out:
+        # Sums over the directions, written by this kernel: gains that the table cannot serve, and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):

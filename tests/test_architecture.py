@@ -138,7 +138,7 @@ for name in ("BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficie
 """
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts a process that imports all modules and compiles kernels.
 @pytest.mark.slow
 def test_every_public_name_can_be_called_after_all_modules_are_imported():
     names = [name for name in SOURCES if name != "warpdiff.__main__"]

@@ -132,8 +132,7 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """Return the compiled kernel for one number of terms and one of neighbours, which fixes the lengths of its loops.
-    """
+    """Return the compiled kernel for one number of terms and neighbours, which fix the lengths of its loops."""
     side = 2 * neighbour_extent + 1
     # Three neighbours are processed at a time. A loop with a shorter body would be unrolled before it could be
     # vectorised. If the number of neighbours is no multiple of three, the last entries have the weight 0.

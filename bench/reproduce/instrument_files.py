@@ -133,8 +133,9 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
 
 
 def judged(path: Path) -> tuple[str, str]:
-    """Read a file by the library and by an independent program. Return a verdict on the library's reading, and a text
-    that describes it.
+    """Read a file by the library and by an independent program.
+
+    Return a verdict on the library's reading, and a text that describes the reading.
     """
     is_text = path.suffix.lower() in TEXTS
     try:

@@ -61,8 +61,9 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by the grade of their verdict. Three of the shares have targets, see
-    ``meets_targets``.
+    """Counts and shares of gratings by the grade of their verdict.
+
+    Three of the shares have targets, see ``meets_targets``.
     """
 
     gratings: int
@@ -126,8 +127,7 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return the shares for both kinds of verdict (on calls, on heights), each for all, fitted and held-out gratings.
-    """
+    """Return the shares for verdicts on calls and on heights, each for all, for fitted and for held-out gratings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         population = gratings(energy, step=step)

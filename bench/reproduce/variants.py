@@ -92,10 +92,10 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return the indices of ``last`` − ``first`` + 1 neighbouring orders for each of the given orders, shape (orders,
-    neighbours).
+    """Return indices of the orders around each of the given orders, shape (orders, neighbours).
 
-    ``first`` and ``last`` are relative to the given order. An axis with one sample has only the order 0.
+    The neighbours are those from ``first`` to ``last``, relative to the given order. An axis with one sample has only
+    the order 0.
     """
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
 

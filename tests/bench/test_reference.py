@@ -141,7 +141,7 @@ def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rn
     assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), reference.LEAST))
 
 
-def test_by_name_and_by_object(rng):
+def test_a_coherence_by_name_equals_a_coherence_object(rng):
     heightfield = fingers()
     lights, views = hemisphere(rng, 3), hemisphere(rng, 3)
     named = reference.reference_reflectance(heightfield, lights, views, "centred", 2.0, centre=(0.7, 2.9))
@@ -149,7 +149,7 @@ def test_by_name_and_by_object(rng):
     np.testing.assert_array_equal(named, reference.reference_reflectance(heightfield, lights, views, data))
 
 
-def test_a_moved_window(rng):
+def test_a_centred_window_at_another_position_equals_the_direct_sum(rng):
     heightfield = fingers()
     lights, views = hemisphere(rng, 8), hemisphere(rng, 8)
     coherence = Coherence("centred", 2.0, centre_um=(0.7, 2.9))
@@ -158,7 +158,7 @@ def test_a_moved_window(rng):
     np.testing.assert_allclose(values, exact, rtol=1e-6, atol=1e-9 * exact.max())
 
 
-def test_white():
+def test_a_flat_mirror_has_the_white_point_of_d65():
     flat = HeightField(np.zeros((4, 4)), 0.05)
     up = np.array([[0.0, 0.0, 1.0]])
     for coherence in ("averaged", Coherence("source"), Coherence("replicas", periods=(3, 2))):

@@ -108,6 +108,6 @@ def test_missing_samples_move_with_the_others() -> None:
      (lambda f: f.resampled((0.1, 20.0)), ValueError, "pitch_um along x must be at most the size 6"),
      (lambda f: f.periods(0), ValueError, "count must be an integer, at least 1")],
 )  # fmt: skip
-def test_bad_arguments(call: Any, error: type[Exception], message: str) -> None:
+def test_invalid_arguments_are_refused_by_their_name(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         call(noise((20, 30), (0.1, 0.2)))

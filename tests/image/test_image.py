@@ -86,7 +86,7 @@ def test_exr_is_scaled_by_an_explicit_exposure(image, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["exr", "png"])
-def test_metadata(image, suffix, tmp_path):
+def test_files_of_pictures_contain_package_plan_report_and_exposure(image, suffix, tmp_path):
     spec, _ = read(image.save(tmp_path / f"a.{suffix}", exposure=2.5))
     # In some formats OpenImageIO appends its own name to that of the package.
     assert spec.getattribute("Software").startswith("warpdiff")

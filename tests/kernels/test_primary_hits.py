@@ -335,7 +335,8 @@ def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
     np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
     assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
-    # The samples have low discrepancy: the mean of 16 is much closer to 0 than for independent samples (σ / 4).
+    # The samples have low discrepancy: the mean of 16 samples is much closer to 0 than for independent samples, whose
+    # mean has a standard deviation of σ / 4.
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
     # The sample pattern is rotated differently in each pixel and for each seed.
     assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
@@ -417,7 +418,7 @@ def shadow_rays(
     mesh_id: wp.uint64,
     origins: wp.array(dtype=wp.vec3f),
     direction: wp.vec3f,
-    # Out:
+    # 1 for each ray that hits a face, else 0, written by this kernel.
     occluded_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()

@@ -184,7 +184,7 @@ def test_a_sky_is_visible_behind_a_picture(square):
         picture.display(background=np.ones((4, 4, 3)))
 
 
-def test_files_are_read_and_refused(tmp_path, square):
+def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, square):
     given = np.random.default_rng(7).random((8, 16, 3)).astype(np.float32)
     for name, pixels in {"sky.exr": given, "dark.exr": 0.0 * given, "nan.exr": given * math.nan}.items():
         write_image(tmp_path / name, pixels)

@@ -120,7 +120,7 @@ def test_shadow_rays_stop_at_the_light(fingers):
 
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
-def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
+def test_a_renderer_may_replace_a_directional_light_by_a_point_light(fingers):
     light = wd.PointLight((0.3, -0.2, 0.9))
     options = OPTIONS | {"refine": False}
     renderer = wd.Renderer(square(), fingers, wd.DirectionalLight((0.1, 0.2, 1.0)), VIEW, **options)

@@ -227,7 +227,7 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     assert pigment == pytest.approx(solid_angle / math.pi, rel=1e-14)
 
 
-def test_solid_angles_in_closed_form():
+def test_solid_angles_equal_closed_forms():
     wavelengths = np.array([0.4, 0.7])
     for kind in ("averaged", "centred"):
         pigment = reflectance_factors.pigment_solid_angle(wavelengths, Coherence(kind, 16.0), 9.0)

@@ -153,7 +153,7 @@ def test_importing_the_package_prints_no_message_of_colour_science():
      ([np.nan], "finite"),
      ("blue", "real numbers")],
 )  # fmt: skip
-def test_bad_wavelengths(wavelengths, message):
+def test_invalid_wavelengths_are_refused(wavelengths, message):
     with pytest.raises((ValueError, TypeError), match=message):
         colorimetry.quadrature_weights(wavelengths)
 
@@ -161,6 +161,6 @@ def test_bad_wavelengths(wavelengths, message):
 @pytest.mark.parametrize(
     ("illuminant", "message"), [("D66", "one of"), (6500, "name of a CIE"), ("ISO 7589 Photographic Daylight", "cover")]
 )
-def test_bad_illuminants(illuminant, message):
+def test_invalid_illuminants_are_refused(illuminant, message):
     with pytest.raises((ValueError, TypeError), match=message):
         wd.reflectance(FLAT, NORMAL, NORMAL, illuminant=illuminant)

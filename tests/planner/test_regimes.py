@@ -27,7 +27,7 @@ class Case:
 
     @property
     def automatic(self):
-        """Error of the automatic plan. A warning or a refusal fails the test."""
+        """Return the error of the automatic plan. A warning or a refusal fails the test."""
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 

@@ -107,7 +107,7 @@ def test_the_illuminant_changes_the_white():
 
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
-def test_lights_add(snake, fingers):
+def test_the_colours_of_several_lights_add_up(snake, fingers):
     lights = [
         SNAKE_LIGHT,
         wd.DirectionalLight((-1.0, 0.7, 0.6), illuminant="A", power=0.4),
@@ -319,7 +319,7 @@ def test_tangents_rotate_the_height_field(fingers):
     assert np.abs(other - first).max() > 0.1 * first.max()
 
 
-def test_facets():
+def test_each_face_of_a_flat_mirror_has_one_colour():
     """With ``smooth=False``, each face of a flat mirror has one colour in an orthographic view."""
     tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
     view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
@@ -332,7 +332,7 @@ def test_facets():
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
-def test_the_direct_method_agrees(kind, snake, fingers):
+def test_the_direct_method_agrees_with_the_automatic_one(kind, snake, fingers):
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=8, height=6)
     options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2, "footprint": False}
     auto = wd.shade(snake, fingers, SNAKE_LIGHT, view, **options)

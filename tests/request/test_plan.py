@@ -266,7 +266,7 @@ def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
     np.testing.assert_array_equal(image.xyz, again.xyz)
 
 
-def test_plans_are_values(rough):
+def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
     one, two = (wd.plan(rough, tolerance=0.3) for _ in range(2))
     assert one == two
     assert hash(one) == hash(two)
@@ -298,7 +298,10 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 
 
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """With the most terms, amplitudes have an error of 3e-3, which is 1000 times larger for weak orders."""
+    """With the largest supported number of terms, the series of amplitudes has an error of 3e-3 at this height range.
+
+    Relative to weak orders this error is 1000 times larger, and the height range is refused.
+    """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)

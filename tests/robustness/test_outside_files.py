@@ -12,7 +12,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 OBJ = "mtllib {}\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 MTL = "newmtl paint\nmap_Kd {}\n"
-# Address on which no server runs.
+# Address of a picture on a port that no server uses.
 URL = "http://127.0.0.1:9/paint.png"
 # Contents of mesh folders, by file name. ``{above}`` is replaced by the path of the parent folder.
 OUTSIDE = {

@@ -330,7 +330,7 @@ def error_of_command(line: list[str]) -> str:
             code = cli.main(line)
         except SystemExit as stopped:
             code = stopped.code
-    # On a slow machine, lines of progress precede the message.
+    # On a slow machine, lines of progress precede the error message. They are removed.
     text = re.sub(r"warpdiff [\w-]+: \d+ % after \d+ s\n", "", error.getvalue())
     return text.removeprefix(f"warpdiff {line[0]}: ") if code == 2 else f"exit code {code}: {text}"
 

@@ -60,7 +60,10 @@ class Viewer:
 
 @pytest.fixture(scope="module", autouse=True)
 def _default_interruption():
-    """Set the default handler: programs such as nohup ignore the signal, and the servers inherit that."""
+    """Give SIGINT Python's default handler during the test.
+
+    Programs such as nohup ignore SIGINT, and a server would inherit this setting and could not be interrupted.
+    """
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

@@ -60,7 +60,7 @@ def is_last(message):
     return message.get("last") is True
 
 
-def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
+def test_pictures_get_finer_at_rest_and_the_last_equals_that_of_the_renderer(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, tolerance=0.03, energy="normalised"))
         messages = page.until(lambda message: message["kind"] == "map")
