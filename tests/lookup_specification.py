@@ -181,7 +181,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
         """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
-        # Wide footprints are not Gaussian in ln |(u, v)| and azimuth, so their standard deviations are limited.
+        # For wide footprints, the approximation by a Gaussian in ln |(u, v)| and azimuth is inaccurate. Their standard
+        # deviations are therefore limited.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share

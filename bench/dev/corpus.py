@@ -155,7 +155,7 @@ def image_values(image: Any) -> Values:
 
 
 def map_values(image: Any) -> Values:
-    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan."""
+    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 

@@ -102,7 +102,10 @@ def _skipped(node: ast.AST) -> list[ast.AST | None]:
 
 
 def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str]]:
-    """Return byte position, old and new text of each possible token change. ``starts`` are positions of lines."""
+    """Return byte position, old text and new text of each possible token change.
+
+    ``starts`` are the byte positions at which the lines of ``text`` begin.
+    """
     types = {tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING}
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type in types]
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):

@@ -73,7 +73,8 @@ HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
 # Largest number of directions of one timed call. Limit: duration of a comparison.
 MOST_TIMED = 4096
-# Number of assignments of wavelengths that are evaluated at once. Limit: memory.
+# Number of variants of a plan that are evaluated at once, which differ in the number of wavelengths per direction.
+# Limit: memory.
 CHUNK = 64
 
 
@@ -347,7 +348,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan: with the fewest sufficient neighbours and more, or (replicas) other subdivisions."""
+    """Return variants of a plan, with different numbers of neighbours or, for replicas, of subdivisions.
+
+    The smallest number of neighbours is the smallest with which the plan meets the tolerance.
+    """
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
         counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
@@ -434,8 +438,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The ratio of predicted costs is the product of two ratios: of the mean numbers of samples, and of the costs per
-    # sample.
+    # The predicted costs of the automatic plan and of the cheapest setting have a ratio that is a product: the ratio of
+    # the mean numbers of samples times the ratio of the costs per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]

@@ -394,7 +394,7 @@ def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], optio
 
 
 def raw(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return all times [s] by row and round. Each pair has the wall and processor times before and after."""
+    """Return all times [s] by row and round: for each pair of calls, wall and processor time of both wheels."""
     return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
 
 

@@ -89,7 +89,8 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # The factor r is such that, at w = 2, the highlight exp(−(r u/w)²) equals the window's Gaussian at 550 nm.
+        # The width of the rainbow's highlight exp(−(r u/w)²) is chosen such that it equals the window's Gaussian at w =
+        # 2 and 550 nm. This determines the factor r.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)

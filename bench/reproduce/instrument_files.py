@@ -1,4 +1,4 @@
-"""Files of instruments and text exports of a folder: read by ``HeightField.load``, and compared with another reading.
+"""Comparison of ``HeightField.load`` with independent programs, on a folder of files of instruments and text exports.
 
 ``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. It requires the extra
 ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
@@ -86,7 +86,10 @@ def plain_x3p(path: Path) -> list[Reading]:
 
 
 def text_readings(path: Path) -> list[Reading]:
-    """Return the maps that SurfaceTopography reads from a text; its units default to those that the caller states."""
+    """Return the maps that SurfaceTopography reads from a text.
+
+    If the text states no unit, the unit is nm; if it states no size, the sample spacing is one unit.
+    """
     from SurfaceTopography.IO import open_topography
 
     try:

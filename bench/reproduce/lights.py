@@ -99,9 +99,9 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours (n, 3) as defined for ``tolerance``.
+    """Return errors of colours (n, 3), defined as for ``tolerance``.
 
-    ``bright`` is the 99th percentile of Y over the whole picture.
+    ``bright`` is the 99th percentile of Y over the whole picture, which determines the floor of the errors.
     """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))

@@ -146,9 +146,9 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return a function that computes ρ by the library, as an argument of :func:`first_order`.
+    """Return a function that computes ρ by the library, which :func:`first_order` accepts.
 
-    ``opposite`` rotates light and views by 180° about the normal.
+    With ``opposite``, light and views are rotated by 180° about the normal.
     """
     rotated = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
     return lambda light, views, wavelengths: wd.spectral_reflectance(
@@ -167,7 +167,7 @@ def blazed_period(**options: Any) -> Floats:
 
 
 def written(periods: Floats) -> str:
-    """Return a text with the mean and variance of periods, as the publication formats them."""
+    """Return a text with the mean and the variance of periods, in the format of the publication."""
     return f"{periods.mean():.3f} ({periods.var():.3f})"
 
 

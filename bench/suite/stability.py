@@ -212,7 +212,7 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Return directions tilted to within 30° of the normal, which limits the coefficients of large patches."""
+    """Return directions tilted to within 30° of the normal. This limits the number of coefficients of large patches."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
@@ -489,7 +489,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name, as lists of value, least, most and unit."""
+    """Return the errors of the automatic choice by name. Each entry is a list: value, smallest, largest, unit."""
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
         for regime, panel in results.items()
@@ -499,7 +499,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one chart. Return a sentence about the automatic choice, by the chart's name."""
+    """Draw all panels in one chart. Return the chart's name with a sentence about the automatic choice."""
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

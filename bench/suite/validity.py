@@ -152,7 +152,7 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error and of the verdict on the heights, and counts for the verdict."""
+    """Return maps of the error and of the verdict on the heights, and counts of the gratings by their verdict."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
@@ -186,7 +186,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return a sentence about the error bound, by the chart's name."""
+    """Draw the maps of the error. Return the chart's name with a sentence about the error bound."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -238,7 +238,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts and errors of ``rule`` by name, as lists of value, least, most and unit."""
+    """Return the counts and errors of ``rule`` by name. Each entry is a list: value, smallest, largest, unit."""
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
         for case, counts in results["rule"].items()

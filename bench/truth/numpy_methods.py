@@ -368,7 +368,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
             "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
         )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
-        # An interval of wavelengths is dλ = dτ/τ², here in nm, because the colour products have steps of 1 nm.
+        # The interval dλ = dτ/τ² is in nm here, because the CIE functions are tabulated at steps of 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
         area *= math.sqrt(2.0 * math.pi) * width / tau**2 * 1e3
         curves = np.stack([np.interp(1e3 / tau, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -380,9 +380,10 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return the factor |(p + iq)/N|² of N periods by the published formula (Single 2014, eq. 3.47, with N + 1 for N).
+    """Return the factor |(p + iq)/N|² of N periods, where p + iq is the published sum (Single 2014, eq. 3.47) over N
+    periods.
 
-    ``turns`` is the phase between neighbouring periods, in turns.
+    The published formula has N + 1 periods. ``turns`` is the phase between neighbouring periods, in turns.
     """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)

@@ -161,12 +161,12 @@ class Coefficients:
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The Gaussian's standard deviation in τ is τ²·spread/|q|, and smallest at the smallest τ. Coefficients up
-            # to about |q|/τ = |(u, v)| + 4·spread matter.
+            # The Gaussian of a coefficient has the standard deviation τ²·spread/|q| in τ. It is smallest for the
+            # smallest τ and the largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| + 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # This is the Gaussian's standard deviation in τ for averaged windows. It is valid for centred windows, too:
-            # each Gaussian is wider by √2, but the power contains products of two Gaussians.
+            # This is the Gaussian's standard deviation in τ for an averaged window. For a centred window, amplitudes
+            # have a Gaussian that is wider by √2, but the power is a product of two amplitudes and has the same width.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -360,7 +360,8 @@ def quadrature(cells, illuminant):
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by 6 points.
+    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by a Gauss
+    # rule with 6 points.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)

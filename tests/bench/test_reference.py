@@ -38,7 +38,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
-    """Return ρ by the direct sum, times the gain of the reference."""
+    """Return the reflectance ρ: the power |P|² by the direct sum, times the gain of the float64 reference."""
     gains = reference.gain(lights, views, source=coherence.kind == "source")
     power = direct_sum.window_power(heightfield, coherence, -lights - views, wavelengths, to_lights=lights)
     return gains[:, None] * power
@@ -49,7 +49,7 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # ``lowest`` is the cosine of the largest angle of incidence, 85°.
+    # The least cosine of directions to the light is 0.087, that of 85°.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
     # Random views would miss narrow orders. A third of the views is therefore near the mirror direction, and a third
     # near an order.

@@ -14,7 +14,10 @@ def array(values, dtype):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("is_base", [True, False])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
-    """Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark."""
+    """Filtered sums over the cells of a subdivided pixel equal explicit sums.
+
+    Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark.
+    """
     across = 2**level
     weights = rng.uniform(size=(3, across))
     for cell in range(across**2):
@@ -49,7 +52,10 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
-    """Pixel 5 of 9 pixels is subdivided. Cells that miss the mesh, here one whole block, do not add to the variance."""
+    """The scatter of a subdivided pixel equals the one computed explicitly from the means of 16 blocks of its cells.
+
+    Cells that miss the mesh do not add to the variance; here they include one whole block.
+    """
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
     hit[: across // 4, : across // 4] = False

@@ -103,7 +103,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Two per cent of the directions change the 99th percentile. One per cent of the light does not change the median.
+    # Now 2 % of the directions are bright, which changes the 99th percentile of the luminance. With small weights they
+    # are too small a share of the light to change its median.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     weights[-20:] = 0.25

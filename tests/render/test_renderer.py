@@ -466,5 +466,5 @@ def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tr
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
     tries.number = 2 * TURNS
-    # The main thread has its own picture, which the pictures of the two threads must not have changed.
+    # The main thread has a picture of its own, rendered before. The two threads must not have changed it.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

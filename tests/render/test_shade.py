@@ -281,8 +281,8 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
     truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
-    # The pigment's colour is the difference of two float32 pictures, so the rounding errors of the brighter picture are
-    # allowed.
+    # The pigment's colour is the difference of two float32 pictures. Its error includes their rounding errors, which
+    # are proportional to the brighter picture.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
     error = reference.picture_error(whole.reshape(-1, 3), truth[1])

@@ -316,7 +316,10 @@ def written_rows() -> Iterator[Row]:
 
 
 def of_line(line: str, text: str) -> Row:
-    """Return the row of a command line. A text that begins with ``.*`` need not be at the beginning of the message."""
+    """Return the row of a command line.
+
+    The error message must begin with ``text``, or contain it if ``text`` begins with ``.*``.
+    """
     rule = re.escape(text.removeprefix(".*"))
     call = functools.partial(error_of_command, shlex.split(line.replace("…", DISC)))
     return Row("command line", line, "", f".*{rule}" if text.startswith(".*") else rule, call)

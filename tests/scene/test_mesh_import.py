@@ -114,7 +114,8 @@ def test_a_single_tangent_applies_to_all_vertices():
 
 
 def test_normals_stay_on_the_side_of_their_faces_under_an_overhang():
-    # Three faces share a position: two larger ones face down, and one faces up.
+    # Three faces share a position: two larger ones face down, and one faces up. The mean of their normals points down,
+    # but each vertex must have a normal on the side of its own face.
     x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
     corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]

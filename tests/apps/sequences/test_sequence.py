@@ -142,7 +142,10 @@ def test_a_path_is_read_from_a_file(tmp_path):
 
 
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
-    """Frames under all kinds of light equal those of ``shade``, also from a worker. Shots store no arrays of skies."""
+    """Frames under all kinds of light equal those of ``shade``, also if a worker process renders them.
+
+    All shots share the arrays of a sky.
+    """
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
     # The power of the disc light makes it about as bright as the sky.
