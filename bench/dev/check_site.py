@@ -39,7 +39,8 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Function of the page that returns its faults. Pictures that load only when they become visible are loaded first.
+# JavaScript function that returns the faults of a page. Pictures that load only when they become visible are loaded
+# first, so that missing ones are found.
 FAULTS = """async () => {
     for (const image of document.images) image.loading = "eager";
     await Promise.all([...document.images].map(image => image.decode().catch(() => null)));

@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. A new name has the same old name in all functions.
+# Keyword arguments that were renamed, new name to old name. Every function that has the new name had the same old name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",

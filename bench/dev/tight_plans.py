@@ -68,7 +68,7 @@ SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of n in the least weight exp(−n) of neighbours.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Methods and settings whose predicted cost exceeds the lowest one by this factor are not tried.
+# Largest predicted cost of methods and settings that are tried, relative to the lowest predicted cost.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
 # Largest number of directions of one timed call. Limit: duration of a comparison.
@@ -153,7 +153,10 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class Call:
-    """Some directions of one configuration, their reference colours, and their colours and errors by plans."""
+    """Directions of one configuration, with their reference colours.
+
+    Methods compute the colours and errors of these directions by a plan.
+    """
 
     def __init__(
         self, case: Configuration, lights: np.ndarray, views: np.ndarray, luminance: float, *, threads: int | None

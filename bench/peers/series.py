@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)|/λ [1/µm]: light and view at the horizon on the same side, at 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``, in coefficients to each side. Limit: coefficients are stored up to this
-# distance beyond the largest frequency.
+# Largest accepted ``neighbour_extent``: number of neighbours on each side of the central coefficient. Limit: the stored
+# block of coefficients extends by this number beyond the largest frequency.
 MOST_REACH = 4
 
 # Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, the 3 × 3 coefficients around that found by

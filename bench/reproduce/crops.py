@@ -39,7 +39,7 @@ WHOLE = (640, 480)
 # Number of points along each axis of a pixel in the reference, and in the coarser reference that checks its
 # convergence.
 POINTS, FEWER = 96, 64
-# Standard deviation and truncation of the pixel filter [pixels].
+# Standard deviation σ of the pixel filter, and radius at which the filter is truncated [pixels].
 DEVIATION, CUT = 0.5, 1.5
 # Tolerance of the colours of the reference's points, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0

@@ -29,7 +29,7 @@ from bench.suite.validity import CASES, GRATINGS, STORED, UNIT, flat_reflectance
 from warpdiff.diffraction import energy_normalisation
 from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
-# Error of an order from which a grating counts as wrong, a share of the reflected power.
+# Error of an order above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
 # Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
 # gratings, and largest share of qualitative gratings.

@@ -81,7 +81,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     number = iter(range(1, 10_000))
 
     def draw(renderer: wd.Renderer) -> None:
-        # A GPU works asynchronously. Without this wait, the time would end before the frame is complete.
+        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, next(number))).device)
 
     times = interleaved({name: functools.partial(draw, one) for name, one in renderers.items()}, setting.rounds)

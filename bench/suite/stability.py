@@ -499,7 +499,10 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one chart. Return the chart's name with a sentence about the automatic choice."""
+    """Draw all panels in one chart.
+
+    Return the chart's name with a sentence about the errors of the automatic choice.
+    """
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

@@ -28,9 +28,9 @@ WIDTHS = 9.0
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# `POINTS` is the number of Gauss-Legendre nodes per cell of the quadrature over 1/λ. The other two are the initial size
-# of a cell: in standard deviations of a Gaussian in 1/λ, and in periods of an oscillation. Cells are halved until the
-# integral converges.
+# Size of the cells of the quadrature over τ = 1/λ. `POINTS` is the number of Gauss-Legendre nodes per cell. The initial
+# length of a cell is at most `WIDTHS_PER_CELL` standard deviations of a coefficient's Gaussian in τ, and at most
+# `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
@@ -53,7 +53,10 @@ XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0
 
 
 class Step(NamedTuple):
-    """Coherence as the reference uses it: some attributes of ``wd.Coherence``, which is accepted as well."""
+    """The attributes of a coherence that the reference uses.
+
+    A ``wd.Coherence`` has the same attributes and can replace this object.
+    """
 
     kind: str = "averaged"
     sigma_um: float | None = None
@@ -115,8 +118,8 @@ class Coefficients:
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients near at least one of the directions are stored. `places` maps the index of an order to its
-        # position.
+        # Only coefficients near at least one of the directions are stored. For the index of an order, `places` has the
+        # position of its coefficient in the stored array.
         radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         indices, self.places = [], []
         for n, length, across in zip(

@@ -100,7 +100,8 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The largest error of a pixel, relative to its colour or to the floor, is the error of the plan.
+    # The largest error of the pixels equals the error of the plan. Errors are relative to a pixel's colour, or to the
+    # floor f if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 

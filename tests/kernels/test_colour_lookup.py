@@ -63,8 +63,8 @@ def test_native_look_ups_equal_the_reference_implementation(coherence, footprint
         results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
-    # For a direction near the limit of the table, rounding decides whether the table serves it. Errors exclude
-    # directions for which the two implementations disagree.
+    # For a direction near the limit of the table, rounding decides whether the table serves it. Directions for which
+    # both implementations decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
     # Between azimuth samples and between rings, native look-ups round a position to 1/64 of their distance.

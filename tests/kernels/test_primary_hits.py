@@ -213,7 +213,8 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # Rounding decides which of two faces a ray through their common edge hits, but the ray must hit one.
+    # If a ray passes through the common edge of two faces, rounding decides which of them it hits. It must hit one, and
+    # only a few pixels may show different faces.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -277,7 +278,7 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
-    # Rounding decides which face a ray through an edge hits.
+    # If a ray passes through an edge, rounding decides which face it hits. A few cells may therefore have another face.
     assert np.mean(face != face_by_rays) < 2e-3
     same = (face == face_by_rays) & (face >= 0)
     assert np.count_nonzero(same) > 200
@@ -338,7 +339,8 @@ def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     # The samples have low discrepancy: the mean of 16 samples is much closer to 0 than for independent samples, whose
     # mean has a standard deviation of σ / 4.
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
-    # The sample pattern is rotated differently in each pixel and for each seed.
+    # The sample pattern is rotated differently in each pixel and for each seed, so that samples of neighbouring pixels,
+    # and those of two seeds, are uncorrelated.
     assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
     assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
 

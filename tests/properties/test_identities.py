@@ -277,7 +277,7 @@ def test_calls_without_directions_return_empty_arrays(rough, method):
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
     # The directions fill several slices of 512, which are distributed over the threads.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
-    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
+    # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-2 if kind == "averaged" else 0.1}

@@ -211,7 +211,7 @@ def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, 
 
     with pytest.raises(KeyError, match="mine"):
         drawn.draw(previews={0.4: fails})
-    # The callback raised an error, but the picture must be complete.
+    # The callback for previews raised an error during this picture. The picture must still be complete.
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})

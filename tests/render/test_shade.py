@@ -220,7 +220,7 @@ def test_the_background_is_black_and_unmasked(snake, fingers):
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
-    # This number of pixels is larger than the slice of a picture that one thread renders at a time.
+    # The picture has more pixels than the slice that one thread renders at a time, so that several threads render it.
     view = snake_view(96, 72)
     options = {"coherence": SHORT, "samples_per_pixel": samples}
     first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)

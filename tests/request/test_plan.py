@@ -90,7 +90,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors are not compared, because they may be smaller at the larger tolerance.
+        # Measured errors of two plans are not compared, because the plan for the larger tolerance may by chance have
+        # the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -468,7 +469,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # A call with so few directions has no search, so the plan consists of upper bounds.
+    # For a call with few directions no search is made, and its plan consists of upper bounds.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive

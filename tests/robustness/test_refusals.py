@@ -402,7 +402,8 @@ def test_messages_name_an_argument_as_the_user_wrote_it(row):
     assert "\n" not in message.strip()
     assert not re.search("[\ue000-\uf8ff]", message)
     if row.front != "python":
-        # Texts quoted from the user and lists of valid parameters may contain words of Python.
+        # Quotations from the user's input and lists of valid parameters may contain names of Python. They are removed
+        # before the test.
         prose = re.sub(r"'[^']*'|but its parameters are .*", "", message)
         assert not {word for word in PYTHON_ONLY.findall(prose) if word not in row.request}
 

@@ -44,7 +44,8 @@ def test_a_surface_has_float32_arrays_relative_to_its_centre_and_radius():
         assert (array.shape, array.dtype) == ((4, width), np.dtype(dtype))
     assert (surface.faces.shape, surface.faces.dtype) == ((2, 3), np.int32)
     assert np.linalg.norm(surface.vertices, axis=1).max() == pytest.approx(1.0)
-    # The mesh is at x = 1e5, where float32 has steps of 0.008. Positions relative to a centre are more accurate.
+    # In float32, positions near x = 1e5 are multiples of 0.008. The surface stores positions relative to the mesh's
+    # centre, which are more accurate.
     world = surface.vertices.astype(np.float64) * surface.radius + surface.centre
     np.testing.assert_allclose(world, mesh.vertices, atol=1e-6)
 

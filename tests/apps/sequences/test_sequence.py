@@ -167,7 +167,8 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sequence with a different sky image, or with a minimally different rotation, is another sequence.
+    # A sequence with another sky image, or with the next larger or smaller rotation of the sky, is another sequence. It
+    # must not be mixed with the first one.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):
@@ -211,7 +212,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # Of the four stored frames, one is truncated, and another has a wrong picture size. Both must be rendered again.
+    # One of the four stored frames is truncated, and another one has a wrong picture size. Both must be rendered again.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
