@@ -95,8 +95,8 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # A plan does not contain material, energy, pigment and samples per pixel, which are therefore passed in addition to
-    # it.
+    # A plan does not contain material, energy, pigment and samples per pixel. These options are therefore passed in
+    # addition to the plan.
     unplanned = {
         name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
     }

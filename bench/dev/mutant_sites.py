@@ -37,8 +37,8 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
 # Functions whose calls are never changed. They only make messages or types, or set options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# File that lists the faults of headers. Each line is "header: text". The text contains «old|new», and with old in its
-# place it occurs once in the header.
+# File that lists the faults of headers. Each line is "header: text", and the text contains «old|new». With old alone,
+# the text occurs once in the header; the fault replaces old by new.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 

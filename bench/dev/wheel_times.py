@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: all of 6 values lie on
+# the same side of the median with the probability 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
 # Target of the total time [s] of one wheel's calls per row and round, and limits of the number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25

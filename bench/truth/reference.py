@@ -142,7 +142,9 @@ class Coefficients:
         self.centre = centre
 
     def metric(self, to_light):
-        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around a coefficient."""
+        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of a coefficient's Gaussian around its
+        frequency q_rs.
+        """
         if self.step.kind != "source":
             return np.eye(2)
         # A disc in the sky is an ellipse in (u, v): its axis towards the light is shorter by the factor cos θi.
@@ -150,14 +152,17 @@ class Coefficients:
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) around a coefficient."""
+        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around the
+        frequency q_rs.
+        """
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
         return np.full(np.shape(tau), falloff)
 
     def resolution(self, scattering_vector, to_light):
-        """Return the largest quadrature cell in τ for one direction, and the least result that must converge.
+        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
+        converge.
 
         The cell is small enough to resolve the Gaussian of each coefficient that τ·(u, v) passes as τ changes.
         """
@@ -244,7 +249,11 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest cell in τ that resolves lobes of the periods, and the least result that must converge."""
+        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
+        converge.
+
+        The cell is small enough to resolve the lobes of the replicated periods.
+        """
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
             abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)

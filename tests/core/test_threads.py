@@ -200,7 +200,10 @@ def taken_by_others(work):
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
-    """If threads of the linear-algebra library were active during a fork, parent or child could wait forever."""
+    """Work on large arrays uses only the calling thread, because linear algebra is limited to one thread.
+
+    If threads of the linear-algebra library were active during a fork, parent or child could wait forever.
+    """
     rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
     coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
     tube = wd.meshes.tube(segments_along=300, segments_around=300)

@@ -128,7 +128,12 @@ def test_a_flat_surface_is_a_mirror(ior):
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """For a short period and grazing light, scalar theory itself violates conservation of energy by more than 5 %."""
+    """The efficiencies of a sine sum to about 1 for long periods.
+
+    For a short period and grazing light, the sum exceeds 1.05.
+
+    This violation of energy conservation is an error of scalar theory itself.
+    """
 
     def total(period, angle):
         given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0

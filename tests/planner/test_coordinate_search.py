@@ -78,7 +78,8 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # The sufficient plan with the smallest bandwidth has the least cost.
+        # With equal terms and neighbours, the plan with the smallest sufficient bandwidth has the least cost. It is the
+        # last sufficient plan of this loop.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least

@@ -225,7 +225,11 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Coefficients repeat beyond the Nyquist limit. For a window centred between samples, their phases are wrong."""
+    """Close to the Nyquist limit, a direction requires coefficients beyond the limit, which repeat those below it.
+
+    For a window centred between samples, the repeated coefficients have wrong phases. The call must be accurate, or
+    warn or be refused.
+    """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
     arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0

@@ -81,7 +81,7 @@ def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
     views[50:100] = lights[50:100]  # retro-reflection
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
-    # The kernel stores view directions in float32.
+    # The kernel stores view directions in float32. The formula is evaluated for the same rounded directions.
     views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)

@@ -318,7 +318,7 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is twice as wide as in other tests, because shares of differing pixels are compared.
+    # The picture is twice as wide as in other tests, so that shares of differing pixels are meaningful.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):

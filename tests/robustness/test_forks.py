@@ -243,7 +243,10 @@ def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
 # This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_fork_waits_for_imports_and_kernels():
-    """Fork while another thread imports packages and loads kernels."""
+    """Fork while another thread imports packages and loads kernels.
+
+    The child must render, or raise an error that proposes the start method "spawn".
+    """
     code = (
         "import threading, time\n"
         "import test_forks as t\n"

@@ -72,7 +72,7 @@ def load(folder):
     finally:
         events, opened = opened, None
     names = [path for path in events if isinstance(path, str) or path.is_relative_to(folder.parent)]
-    # The audit hook must have recorded the mesh file itself.
+    # The list of opened files must contain the mesh file itself, which shows that the audit hook works.
     assert any(path.stem == "mesh" for path in names if isinstance(path, Path))
     return has_colour, names
 
