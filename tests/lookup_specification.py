@@ -231,7 +231,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
             if tabulated:
                 weight = taps.weights[step, fraction, ring - first]
-            # A footprint of constant width spans fewer azimuths at a larger radius.
+            # A footprint of constant width in (u, v) covers a smaller angle at a larger radius, and therefore fewer
+            # azimuth samples.
             nearer = wp.exp(-(wp.float32(ring) - place) / table.rings_per_log + 0.5 * ratio2)
             turns = turns_of(u, v) + turn_per_ring * table.rings_per_log * (1.0 - nearer) / (2.0 * wp.PI)
             row_sum += weight * sum_of_azimuths(table, taps, ring, turns, aside2 * nearer * nearer, aside2)

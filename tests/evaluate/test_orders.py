@@ -46,7 +46,7 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # Computing time is proportional to the number of terms, so this number must be close to the argument of the series.
+    # The number of terms must be close to the series' argument x, because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 

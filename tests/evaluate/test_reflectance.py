@@ -85,7 +85,10 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """In a map, x increases from left to right, and y decreases from top to bottom."""
+    """Each pixel of a map is the mean of directions within the unit disc.
+
+    In a map, x increases from left to right, and y decreases from top to bottom.
+    """
     light = at_angle(20.0)
     plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
     image = wd.reflectance_map(line, light, size=6, samples_per_pixel=4, plan=plan)

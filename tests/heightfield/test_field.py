@@ -67,7 +67,7 @@ def test_flipping_reverses_one_axis() -> None:
 def test_rotation_is_counter_clockwise_seen_from_the_light() -> None:
     blaze = HeightField(gratings.blazed(2.0, 0.3, samples=8).heights_um, (0.5, 0.25))
     quarter = blaze.rotated()
-    # The blazed grating rises along x, and after the rotation along y.
+    # The blazed grating rises along x before the rotation, and along y after it.
     np.testing.assert_array_equal(quarter.heights_um[:, 0], blaze.heights_um[0])
     assert (quarter.pitch_um, quarter.size_um) == ((0.25, 0.5), (2.0, 0.5))
     assert quarter.heights_um.flags.c_contiguous

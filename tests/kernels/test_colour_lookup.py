@@ -24,7 +24,8 @@ def directions(rng):
     to_views[::3] = to_lights[::3] * [-1.0, -1.0, 1.0] + 0.02 * rng.normal(size=(COUNT // 3, 3))
     to_views /= np.linalg.norm(to_views, axis=1, keepdims=True)
     gains = rng.random(COUNT) * (rng.random(COUNT) > 0.1)
-    # These footprints have standard deviations of 1e-4 to 0.3 in (u, v). The widest footprints include all azimuths.
+    # The footprints of the test have standard deviations of 1e-4 to 0.3 in (u, v). The widest footprints include all
+    # azimuths.
     footprints = rng.normal(size=(COUNT, 4)) * 10.0 ** rng.uniform(-4.0, -0.5, size=(COUNT, 1))
     return -(to_lights + to_views), to_lights, gains, footprints
 

@@ -24,7 +24,7 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# The slow tests also compile the kernels that every picture launches for the Ampere architecture (sm_80).
+# For the Ampere architecture (sm_80), the slow tests compile only the kernels that every picture launches.
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.

@@ -71,8 +71,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In so small a picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits
-    # the accuracy of footprints.
+    # In a small picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits the
+    # accuracy of footprints.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -288,7 +288,8 @@ def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
-    # At grazing view, kernels tilt normals towards the viewer, so derivatives of (u, v) are discontinuous.
+    # Pixels viewed at grazing angles are excluded. There kernels tilt normals towards the viewer, which makes
+    # derivatives of (u, v) discontinuous.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200

@@ -108,7 +108,8 @@ def test_hits_and_shading_frames_equal_brute_force(scene, covers, smooth, reques
     vertices = world(surface)
     t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
 
-    # Rounding to float32 decides which face a ray through an edge hits. The hit point must be the same for both faces.
+    # For a ray through an edge, rounding to float32 decides which face it hits. Faces are compared for all other rays;
+    # the distance of the hit point is compared for all rays.
     edge = margin < 1e-5
     assert np.count_nonzero(edge) < 0.005 * len(edge)
     sure = ~edge
@@ -445,7 +446,7 @@ def test_smooth_shading_has_no_jagged_terminator():
     illuminated = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
     origins = got["shadow_origin"][hit]
     assert np.mean(shadowed(scene, origins[illuminated], direction)) < 0.005
-    # Points on the half of a sphere opposite to the light are in its own shadow.
+    # Points on the half of a sphere opposite to the light are in the sphere's own shadow.
     dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
     assert np.all(shadowed(scene, origins[dark], direction))
 

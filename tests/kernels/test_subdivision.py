@@ -171,7 +171,7 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
     wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
-    # The first and the last pixel are outside of the ranges of both threads, so they must not change.
+    # Two threads process the pixels 1 to 10. The pixels 0 and 11 are outside of their ranges and must not change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)

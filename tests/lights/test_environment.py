@@ -251,7 +251,7 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # These sums over directions have a noise of 2 %, which the limits below include.
+    # The reference, a sum over directions, has a noise of 2 %, which the limits below include.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}

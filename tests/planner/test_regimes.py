@@ -160,7 +160,10 @@ def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, sp
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
-    """Half a degree above the horizon or less, a source is foreshortened more than 100 times."""
+    """At half a degree above the horizon or less, a source is foreshortened more than 100 times.
+
+    Colours must still meet the tolerance.
+    """
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
         Case(heightfield, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic
@@ -204,20 +207,22 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
-    # The largest pitch without aliasing is 0.1 µm, so 16 samples suffice and 12 do not.
+    # The largest pitch without aliasing is 0.1 µm. A period of 1.6 µm therefore needs 16 samples, and 12 samples are
+    # too few.
     for samples in (80, 20, 16):
         xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The result equals a reference computed from the same samples, although both are wrong by aliasing.
+        # The colours equal those of a reference that uses the same coarse samples, because both have the same errors by
+        # aliasing.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
         assert len(caught) == 1
         assert methods.colour_error(xyz, on_samples) <= TOLERANCE
         assert methods.colour_error(xyz, exact) > TOLERANCE
-        # Resampling, as the warning recommends, restores the accuracy.
+        # Resampling to a finer pitch, which the warning recommends, restores the accuracy.
         xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 

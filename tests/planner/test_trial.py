@@ -114,7 +114,10 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
-    """The worst percentile is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
+    """The worst percentile is the error that 0.5 % of the weight exceeds.
+
+    It is the largest over all illuminants, and over bright and dim directions.
+    """
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
     group = SimpleNamespace(weights=np.ones(2000), above=above)

@@ -175,7 +175,7 @@ def test_a_constant_height_changes_nothing(data):
 def test_mirroring_surface_and_directions_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Mirroring x → −x keeps the first sample in place.
+    # Mirroring x → −x keeps the position of the first sample, and reverses the order of the others.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
         # The window is centred on a sample. Otherwise mirroring would change phases beyond the Nyquist limit.

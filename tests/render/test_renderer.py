@@ -144,8 +144,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # A pixel's coverage is that of the light with the finest cells, or of the last such light, so it depends on the
-    # order.
+    # A pixel's coverage is that of the light with the finest cells, or of the last such light. It therefore depends on
+    # the order of the lights.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
@@ -231,7 +231,10 @@ def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
-    """Views near, far, past the mesh, and inside it, with part of the mesh behind the eye, follow each other."""
+    """Pictures with very different views follow each other, and each must equal a picture by a new renderer.
+
+    The mesh is near, far, outside of the view, or around the eye, with a part of the mesh behind it.
+    """
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)

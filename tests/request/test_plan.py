@@ -277,7 +277,8 @@ def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # A plan for the whole hemisphere needs a search, which compiles a kernel for each number of terms.
+    # A plan for the whole hemisphere requires a search, which is slow because it compiles a kernel for each number of
+    # terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -416,7 +417,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     assert len(builds) == 1
     first = wd.reflectance(heightfield, UP, UP, plan=plan)
     np.testing.assert_array_equal(wd.reflectance(heightfield, UP, UP, plan=plan), first)
-    # Other lights, indices of refraction, wavelengths and numbers of terms need no new coefficients.
+    # Tables of coefficients are reused if only lights, index of refraction, wavelengths or the number of terms change.
     wd.reflectance(heightfield, at_angle(10.0), UP, plan=plan, ior=2.0)
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
@@ -488,7 +489,10 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """Each pixel is the mean over a grid of directions, and its coverage is the share of directions on the disc."""
+    """A pixel of a map can be the mean over a grid of directions.
+
+    Its coverage is the share of these directions within the unit disc.
+    """
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
     means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)

@@ -79,7 +79,7 @@ def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # The direction to the disc light rotates about +x by the same quarter turn.
+    # In the same sweep, the direction to the disc light rotates about +x by a quarter turn.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
@@ -181,7 +181,7 @@ def test_frames_equal_those_of_the_renderer_at_one_exposure(renderer, tmp_path):
     shares = []
     paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    # ``progress`` is called during each frame and after it.
+    # ``progress`` is called during each frame and after each frame.
     assert shares == sorted(shares)
     assert len(shares) > 6
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -223,7 +223,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
         return draw(self, lights, view, **options)
 
     monkeypatch.setattr(wd.Renderer, "draw", recorded)
-    # The sequence is resumed with a copy of the renderer, as in another process.
+    # A copy of the renderer resumes the sequence, as if another process did.
     paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (pickled in this line)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole
