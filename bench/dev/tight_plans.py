@@ -1,11 +1,15 @@
 """Comparison of automatic plans with the cheapest settings: times, and predicted relative to actual errors.
 
-A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions, of which the first 128
-are evaluated. Its automatic plan is compared with all settings of a grid. The grid varies the method, the number of
-terms in multiples of the vector width, the number of neighbours by their least weight exp(−n/2), and the number of
-wavelengths per direction. That number depends on (u, v) and w as in a plan, with factors that vary in quarter octaves,
-or is equal for all directions. For replicated patches, the grid varies the subdivisions of a wavelength interval, in
-quarter octaves, instead of the neighbours.
+A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions. Errors are evaluated on
+the first 128 of these directions. The automatic plan of a configuration is compared with all settings of a grid, which
+varies four things:
+
+- the method
+- the number of terms, in multiples of the vector width
+- the number of neighbours, by their least weight exp(−n/2); for replicated patches, instead, the number of subdivisions
+  of a wavelength interval, in steps of a quarter octave
+- the number of wavelengths per direction: equal for all directions, or dependent on (u, v) and w as in a plan, with
+  factors in steps of a quarter octave
 
 A setting is a candidate if it meets the tolerance on these 128 directions against the float64 reference, without a
 safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest predicted
@@ -232,7 +236,10 @@ class Call:
 
 
 class Bandwidths:
-    """Assignments of a number of wavelengths to each direction, and the mean number of each assignment."""
+    """Assignments of wavelengths to directions. Each assignment states a number of wavelengths for every direction.
+
+    The mean number of wavelengths of each assignment is stored, too.
+    """
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
@@ -283,17 +290,17 @@ class Bandwidths:
 
 
 class Setting(NamedTuple):
-    """A setting that meets the tolerance, with its predicted cost."""
+    """A setting of the grid that meets the tolerance, with its predicted cost."""
 
     cost: float
     plan: wd.Plan
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the cheapest sufficient numbers of wavelengths for each combination of method, terms and neighbours.
+    """Return the sufficient setting with the fewest wavelengths for each combination of the other numbers.
 
-    Combinations that are too costly even with the fewest wavelengths are excluded. For replicas, subdivisions are
-    varied instead of neighbours.
+    The other numbers are method, terms and neighbours or, for replicas, method, terms and subdivisions. Combinations
+    that are too costly even with few wavelengths are excluded.
     """
     case = call.case
     tolerance = case.tolerance
@@ -309,7 +316,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def is_promising(plan: wd.Plan) -> bool:
-        """Return whether a plan could be among the best if it needed the fewest wavelengths found so far."""
+        """Return whether a plan may be among the cheapest, with as many wavelengths as the settings so far."""
         if not results:
             return True
         best = min(setting.cost for setting in results)
@@ -441,8 +448,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The predicted costs of the automatic plan and of the cheapest setting have a ratio that is a product: the ratio of
-    # the mean numbers of samples times the ratio of the costs per sample.
+    # The ratio of predicted costs, of the automatic plan to the cheapest setting, is a product of two ratios: of the
+    # mean numbers of samples, and of the costs per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]

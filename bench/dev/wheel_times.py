@@ -71,9 +71,9 @@ class Seconds(NamedTuple):
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Return a function for each row of the report's table, which prepares the calls that are timed.
+    """Return functions by the names of the rows of the report's table. Each function prepares the calls of its row.
 
-    The prepared call is a function whose argument is the number of the call.
+    A prepared call is a function whose argument is the number of the call.
 
     Frames have 640 × 480 pixels unless the row's name states another size. Light and camera move from frame to frame.
     """

@@ -180,7 +180,10 @@ def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
 
 
 def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
-    """Return Mitsuba's environment emitter. The middle column of its map is half a turn from that of the library."""
+    """Return Mitsuba's environment emitter for a sky.
+
+    The map is rotated by half a turn to the orientation of the library.
+    """
     rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}
 

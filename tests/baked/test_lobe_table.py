@@ -233,9 +233,10 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """The test lobes have the design width along the azimuth, and a tenth of |(u, v)| as their radial width.
+    """A polar grid interpolates lobes that have the width for which the grid is made, along the azimuth.
 
-    In tables of colours, the range of wavelengths widens lobes radially to at least this width.
+    The radial width of the test lobes is a tenth of |(u, v)|. In tables of colours, the range of wavelengths widens
+    lobes to at least this radial width.
     """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)

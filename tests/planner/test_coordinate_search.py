@@ -14,7 +14,7 @@ from warpdiff.planner.coordinate_search import Coordinate
 
 # Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Ratio of neighbouring bandwidths (4 steps per octave), and number of terms per SIMD register.
+# Ratio of neighbouring bandwidths that a search tries (4 steps per octave), and number of terms per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 

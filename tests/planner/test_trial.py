@@ -209,7 +209,7 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # In a call of this size all directions are candidates. The second luminance floor, which excludes the brightest
-    # candidates as outliers, exists only in larger calls.
+    # This call is small, so that all of its directions are candidates. In larger calls a second luminance floor exists,
+    # which excludes the brightest candidates as outliers.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -35,7 +35,10 @@ opened = None
 
 
 def _watch(event, arguments):
-    """Record opened files and network access while ``opened`` is a list. Python cannot remove audit hooks."""
+    """Record opened files and network access, as an audit hook of Python.
+
+    Audit hooks cannot be removed, so this one records only while ``opened`` is a list.
+    """
     if opened is None:
         return
     if event.startswith(("socket.", "urllib.")):

@@ -59,7 +59,10 @@ def bsdf_of(path, variant, **options):
 
 
 def interaction(count=None, to_light=LIGHT):
-    """Return one or ``count`` surface interactions with a direction to the light and the four ``WAVELENGTHS``."""
+    """Return Mitsuba's record of one surface hit, or of ``count`` hits, with the direction to the light.
+
+    In spectral variants, the record has the four ``WAVELENGTHS``.
+    """
     si = mi.SurfaceInteraction3f() if count is None else dr.zeros(mi.SurfaceInteraction3f, count)
     si.wi = mi.Vector3f(*map(float, to_light))
     if mi.is_spectral:

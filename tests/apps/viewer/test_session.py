@@ -170,7 +170,10 @@ def test_a_click_in_a_finished_picture_reports_angles_without_rendering(studio):
 
 
 def delayed(is_delayed):
-    """Return a ``Renderer.draw`` whose first refined picture waits until cancelled, and a queue of begun views."""
+    """Return a replacement of ``Renderer.draw``, whose first refined picture waits until it is cancelled.
+
+    Also return a queue of the views whose pictures have begun.
+    """
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, previews=None):
