@@ -94,7 +94,10 @@ def test_colours_equal_the_direct_sum(kind, rng):
 
 
 def resonances(heightfield, lights, views, periods):
-    """Return XYZ of N periods for N → ∞: each order is a line of weight 1/N in uLx/λ; all else is dark."""
+    """Return XYZ of N replicated periods in the limit of large N.
+
+    In this limit the spectrum consists of one narrow line per order. The integral of a line over uLx/λ is 1/N.
+    """
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]
     for i, (light, view) in enumerate(zip(lights, views, strict=True)):
@@ -105,7 +108,7 @@ def resonances(heightfield, lights, views, periods):
                 at = np.array([wavelength])
                 illuminated = direct_reflectance(heightfield, light[None], view[None], at, periods)[0, 0]
                 curve = [np.interp(1e3 * wavelength, np.arange(380, 781), table[:, c]) for c in range(3)]
-                # The phase uLx/λ changes by one turn over this range of wavelengths, |dλ| = λ²/(uLx), here in nm.
+                # The phase uLx/λ changes by one turn over the wavelength range |dλ| = λ²/(uLx), here in nm.
                 result[i] += illuminated * np.array(curve) * 1e3 * wavelength**2 / (u * length) / periods.periods[1]
     return result
 

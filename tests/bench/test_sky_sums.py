@@ -23,7 +23,7 @@ PIXELS = np.argwhere(np.ones((2, 4))) + 2
 
 
 def polar_and_azimuth(height):
-    """Return two angles for all pixels of a sky: from +y, and the azimuth from −z towards +x."""
+    """Return two angles for all pixels of a sky: the polar angle from +y, and the azimuth from −z towards +x."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
     return np.meshgrid(polar, azimuth, indexing="ij")

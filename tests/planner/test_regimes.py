@@ -16,7 +16,9 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """Height field, directions and coherence model, with reference colours."""
+    """A call with its reference: height field, directions and coherence model, and the colours that the call must
+    return.
+    """
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence

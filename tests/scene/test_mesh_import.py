@@ -341,7 +341,7 @@ def test_scenes_with_two_textures_are_refused():
 
 
 def folded(mesh):
-    """Return the mesh without normals, with a texture that is mirrored at a line along the mesh."""
+    """Return a mesh without normals, whose texture is mirrored at a line along the mesh."""
     uv = np.array(mesh.visual.uv)
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
