@@ -264,7 +264,7 @@ def test_pixels_need_not_be_square_on_any_command(command, flag):
     (["--extent-um", "6,4.5"], "4.5 × 6 µm"), (["--extent-um", "3", "4.5"], "4.5 × 3 µm"),
 ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_of_pixels_that_are_not_square(tmp_path, capsys, words, size):
+def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
     # A field with missing samples has no plan. It is used here because ``info`` would require a second to make a plan.
     heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
     heights[3, 4] = np.nan
@@ -283,7 +283,7 @@ def test_a_pitch_that_is_no_number_is_refused(words, capsys):
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_of_a_text(tmp_path, capsys):
+def test_info_reads_a_text_with_its_units(tmp_path, capsys):
     rows = "\n".join(" ".join("NaN" if i == j else f"{20 * np.sin(i + j):.3f}" for i in range(8)) for j in range(5))
     header = "# Channel: {}\n# Width: 2 µm\n# Height: 1 µm\n"
     (tmp_path / "a.txt").write_text(f"{header.format('A')}{rows}\n{header.format('B')}{rows}\n", encoding="utf-8")

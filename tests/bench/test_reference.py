@@ -113,7 +113,7 @@ def resonances(heightfield, lights, views, periods):
     return result
 
 
-def test_narrow_lines_of_many_periods(rng):
+def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
     """The reference does not miss narrow lines: with thousands of periods, it approaches the limit of many periods."""
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))

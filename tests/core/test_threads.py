@@ -141,7 +141,7 @@ def two_threads():
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_one_thread_within_the_context_and_all_threads_after_it():
+def test_blas_uses_one_thread_within_the_context_and_all_after_it():
     before = blas_threads()
     with single_threaded_blas():
         assert set(blas_threads()) == {1}

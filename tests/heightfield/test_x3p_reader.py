@@ -68,7 +68,7 @@ def test_subfolders_and_other_suffixes_are_read(tmp_path: Path, name: str, optio
     np.testing.assert_allclose(scan.heights_um[::-1], 1e6 * HEIGHTS_M)
 
 
-def test_missing_samples_by_a_mask_by_nan_and_by_infinity(tmp_path: Path) -> None:
+def test_masked_nan_and_infinite_samples_are_missing(tmp_path: Path) -> None:
     heights = HEIGHTS_M.copy()
     heights[0, 1], heights[1, 1] = math.inf, math.nan
     link = (

@@ -45,7 +45,7 @@ def displayed(encoded):
 
 
 def hue_errors(encoded, bands):
-    """Return changes of hue by a display transform, and the largest difference between neighbouring bands, in degrees."""
+    """Return hue changes by a display transform, and the largest difference of neighbouring bands, in degrees."""
     hues = hues_deg(displayed(encoded))
     return apart_deg(hues, hues_deg(bands)), float(apart_deg(hues[..., 1:], hues[..., :-1]).max())
 

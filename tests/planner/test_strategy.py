@@ -71,7 +71,7 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
-def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
+def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind, saving):
     """A search costs as much as the evaluation of 16,000 directions with the plan that it finds.
 
     An evaluation with the upper-bound plan costs ``saving`` times as much as with the plan of the search.

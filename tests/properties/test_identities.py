@@ -179,7 +179,7 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
-def test_excess_energy_of_a_shallow_sine(period_um):
+def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
     """A sine with amplitude a reflects more than all light by (2πa/λ)² (1 − c)²/(2c), an error of scalar theory.
 
     Here c is the cosine of the first order. The excess is a millionth of the light. Measuring it requires float64, a

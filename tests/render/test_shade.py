@@ -230,7 +230,7 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
         np.testing.assert_array_equal(again.coverage, first.coverage)
 
 
-def test_many_samples_per_pixel():
+def test_many_samples_per_pixel_change_only_the_rim():
     """With 16 samples per pixel, only pixels at the rim are partly covered. Inside, the mean brightness is the same."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
@@ -381,7 +381,7 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert not luminance[dark].any()
 
 
-def test_no_seam_along_the_belly(fingers):
+def test_the_belly_shows_no_seam(fingers):
     """At the seam of the texture, neighbouring pixels do not differ more than elsewhere."""
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.

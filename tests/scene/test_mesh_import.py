@@ -56,7 +56,7 @@ def test_a_tiny_mesh_has_the_same_surface_as_a_large_one():
     np.testing.assert_allclose(small.tangents, large.tangents, atol=1e-6)
 
 
-def test_smooth_normals_of_a_sphere_across_unwelded_faces():
+def test_normals_of_a_sphere_are_smooth_across_unwelded_faces():
     sphere = trimesh.creation.icosphere(subdivisions=3)
     torn = mesh_of(sphere.vertices[sphere.faces.ravel()], np.arange(sphere.faces.size).reshape(-1, 3))
     surface = prepare_surface(torn, tangents=along_x(torn, 0.01, 0.02))
