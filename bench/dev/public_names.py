@@ -28,9 +28,9 @@ FUNCTIONS = {"reflectance_map": "brdf_map"}
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
-    "periods": "copies",  # argument of Coherence
-    "delta_e": "tolerance",  # argument of bake
-    "previews": "coarser",  # argument of Renderer.draw
+    "periods": "copies",  # old name of the argument of Coherence
+    "delta_e": "tolerance",  # old name of the argument of bake
+    "previews": "coarser",  # old name of the argument of Renderer.draw
 }
 # Functions and methods with arguments that were renamed.
 RENAMED_FUNCTIONS = (

@@ -58,7 +58,7 @@ KINDS = ("averaged", "centred", "source", "replicas")
 # Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
-PITCH_UM = 0.09  # sample spacing of the synthetic surfaces
+PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
 # Numbers of wavelengths below 16, in steps of a quarter octave (a factor of 2^(1/4)). They are equal for all
 # directions, because a plan with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
@@ -89,7 +89,7 @@ class Configuration(NamedTuple):
     heightfield: wd.HeightField
     coherence: wd.Coherence
     tolerance: float
-    lights: np.ndarray  # (40000, 3)
+    lights: np.ndarray  # directions to the light, shape (40000, 3), like those to the viewer
     views: np.ndarray
 
     def __str__(self) -> str:

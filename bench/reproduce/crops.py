@@ -62,17 +62,17 @@ class Crop(NamedTuple):
     light: wd.DirectionalLight
     view: wd.View
     white: float  # reference luminance Y* of the whole picture
-    brightest: float  # Y exceeded by 0.1 % of the picture's pixels, for the exposure of colour differences
+    brightest: float  # luminance that 0.1 % of the picture's pixels exceed, for the exposure of colour differences
 
 
 class Truth(NamedTuple):
     """Reference of the pixels of a crop, all arrays with the shape (HEIGHT, WIDTH)."""
 
-    xyz: np.ndarray  # (HEIGHT, WIDTH, 3)
+    xyz: np.ndarray  # mean colour of the points of each pixel, shape (HEIGHT, WIDTH, 3)
     interior: np.ndarray
-    silhouette: np.ndarray  # whether some but not all points hit the mesh
-    shadowed: np.ndarray  # whether all points hit and some but not all are illuminated
-    settled: np.ndarray  # difference from the coarser reference, ‖ΔXYZ‖
+    silhouette: np.ndarray  # whether some but not all points of the pixel hit the mesh
+    shadowed: np.ndarray  # whether all points of the pixel hit the mesh, and some but not all are illuminated
+    settled: np.ndarray  # difference ‖ΔXYZ‖ from the coarser reference
 
 
 class Errors(NamedTuple):
@@ -81,7 +81,7 @@ class Errors(NamedTuple):
     interior: np.ndarray
     silhouette: np.ndarray
     shadowed: np.ndarray
-    settled: np.ndarray  # convergence of the reference, of interior pixels
+    settled: np.ndarray  # differences of the reference from the coarser reference, of interior pixels
     estimated: np.ndarray  # estimated errors of interior pixels, from ``image.error``
 
 

@@ -42,10 +42,10 @@ LEAST = 1e-10
 class Result(NamedTuple):
     """Results of a call for its illuminated directions. ``read`` marks directions that the planner's trials used."""
 
-    xyz: np.ndarray  # (n, 3)
-    to_light: np.ndarray  # (n, 3)
-    to_view: np.ndarray  # (n, 3)
-    read: np.ndarray  # (n,)
+    xyz: np.ndarray  # colours of the directions, shape (n, 3)
+    to_light: np.ndarray  # directions to the light, shape (n, 3)
+    to_view: np.ndarray  # directions to the viewer, shape (n, 3)
+    read: np.ndarray  # whether the planner's trials used the direction, shape (n,)
     plan: wd.Plan
     warned: str
 

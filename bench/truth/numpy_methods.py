@@ -178,8 +178,8 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
 class Rows(NamedTuple):
     """Fourier coefficients or their powers as products: one row of numbers per coefficient, and a common basis in κ."""
 
-    values: np.ndarray  # (my, mx, terms), complex amplitudes or real powers
-    basis: object  # function of κ (m,) that returns (m, terms)
+    values: np.ndarray  # complex amplitudes or real powers, shape (my, mx, terms)
+    basis: object  # function of κ (m,) that returns the basis functions, shape (m, terms)
     origin: tuple[int, int]
 
 

@@ -283,7 +283,7 @@ def test_a_pitch_that_is_no_number_is_refused(words, capsys):
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_reads_a_text_with_its_units(tmp_path, capsys):
+def test_info_reads_a_text_by_its_unit_and_channel(tmp_path, capsys):
     rows = "\n".join(" ".join("NaN" if i == j else f"{20 * np.sin(i + j):.3f}" for i in range(8)) for j in range(5))
     header = "# Channel: {}\n# Width: 2 µm\n# Height: 1 µm\n"
     (tmp_path / "a.txt").write_text(f"{header.format('A')}{rows}\n{header.format('B')}{rows}\n", encoding="utf-8")

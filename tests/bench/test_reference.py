@@ -13,7 +13,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-DIRECTIONS = 48  # number of directions; with five wavelengths there are more than 200 points per regime
+DIRECTIONS = 48  # number of directions; five wavelengths of each give more than 200 values per regime
 
 
 def rough():

@@ -77,8 +77,8 @@ def power_width(coherence):
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
     """The kernel's gain C·M equals the formula written with angles, up to 89.9° and at the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
-    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror direction
-    views[50:100] = lights[50:100]  # retro-reflection
+    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # views in the mirror direction of the light
+    views[50:100] = lights[50:100]  # views in the direction of the light (retro-reflection)
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
     # The kernel stores view directions in float32. The formula is evaluated for the same rounded directions.
@@ -221,7 +221,7 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     mirrored = at_angle(-10.0 * cycles)
     power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
-    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power: only the geometry factor C remains
+    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power is in this order: only C remains
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -76,9 +76,9 @@ def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # test case: a moderate number of neighbours
-        ((64, 64), (9.0, 9.0), 2.5),  # test case: more rows and columns than a SIMD vector has elements
-        ((5, 3), (2.0, 1.6), 2.0),  # test case: a small patch with periodic coefficients
+        ((40, 44), (6.0, 5.0), 22.0),  # patch with a moderate number of neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # patch with more rows and columns than a SIMD vector has elements
+        ((5, 3), (2.0, 1.6), 2.0),  # patch whose periodic coefficients repeat among the neighbours
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
