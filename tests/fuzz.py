@@ -347,7 +347,8 @@ def call(name, fuzzed):
         return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
     arguments = {}
     for key, parameter in inspect.signature(function).parameters.items():
-        # Default arguments of gratings are cheap, so they are not replaced by the legal values.
+        # Gratings are called with their default arguments instead of the legal values, because the defaults are
+        # computed quickly.
         if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
             arguments[key] = LEGAL[key]
         elif key in LEGAL_BY_CALL and key not in fuzzed:

@@ -23,7 +23,7 @@ SOURCES = {
 }
 # Packages that must not import Warp, neither directly nor through other packages.
 WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "samples")
-# Pattern of attributes of Warp's objects that Warp's reference does not document.
+# Pattern that finds attributes of Warp's objects which Warp's reference does not document.
 UNDOCUMENTED = (
     r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
 )

@@ -479,7 +479,10 @@ def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object],
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the panels. A quick run has every fifth value on the x axis, without the slow ones at the ends."""
+    """Measure the panels.
+
+    A quick run computes only every fifth value on the x axis, without the slow values at the ends.
+    """
     results = {}
     for regime in REGIMES:
         setting.say(f"stability: {regime.__name__}")

@@ -140,9 +140,9 @@ def test_each_reason_is_named(reason):
 
 
 def test_a_wall_is_not_undersampled():
-    """A vertical wall of any height lies between two samples and is correct.
+    """A vertical wall lies between two samples, and does not count as undersampled, whatever its height.
 
-    A slope with such steps between all samples is undersampled.
+    A slope with such steps between all samples does.
     """
     for depth in (0.3, 3.0):
         assert theory_verdict._undersampled_share(wd.gratings.lamellar(5.0, depth), 0.55) == 0.0

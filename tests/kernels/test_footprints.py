@@ -174,9 +174,9 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Compare footprints that include all azimuths, because they are centred close to the mirror direction.
+    """Compare look-ups of footprints close to the mirror direction with means over points.
 
-    Their centres are 0 to 3 standard deviations of the footprint away from it.
+    These footprints include all azimuths. Their centres are 0 to 3 standard deviations away from the mirror direction.
     """
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
@@ -199,9 +199,10 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 
 
 def test_a_wide_footprint_weights_each_ring_by_its_area():
-    """Fill the table with a narrow Gaussian of |(u, v)|, and compute its mean over a wide Gaussian footprint.
+    """Compare a look-up of a wide footprint with a closed form, for a table with a narrow Gaussian of |(u, v)|.
 
-    Both are centred on the mirror direction. Near it, look-ups of wide footprints skip every second ring.
+    The footprint, a wide Gaussian, and the narrow Gaussian are both centred on the mirror direction. Near it, look-ups
+    of wide footprints skip every second ring.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)

@@ -400,7 +400,7 @@ def test_textures_are_bilinear_and_periodic_with_row_0_at_the_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
-    # The view is chosen so that pixel centres coincide with texel centres.
+    # The view is chosen so that pixel centres coincide with texel centres, and each pixel shows one texel.
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
     # After a shift of the texture by half a texel, each pixel shows the mean of four texels, also across the border.
