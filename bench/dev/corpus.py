@@ -155,7 +155,7 @@ def image_values(image: Any) -> Values:
 
 
 def map_values(image: Any) -> Values:
-    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
+    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 
@@ -198,7 +198,7 @@ def pixel_values(path: Path) -> Values:
 
 
 def page_values(path: Path) -> Values:
-    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order there."""
+    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
     page = path.read_text(encoding="utf-8")
     header = re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
     data = re.search(r'<script type="text/plain"[^>]*>([A-Za-z0-9+/=\s]{1000,})</script>', page)
