@@ -303,8 +303,8 @@ def scan_windows(setup: Setup) -> Table:
 # Figures of reflectance maps.
 
 
-# Exposures of reflectance maps, equal to those of the web demonstration. `LINE` is for one-dimensional gratings, which
-# reflect all light into one line of the map; `AREA` is for other surfaces.
+# Exposures of reflectance maps: `LINE` for gratings that reflect all light into few lines or points of the map, `AREA`
+# for other surfaces. Limit: larger values clip more pixels to white.
 LINE, AREA = 0.04, 3.0
 
 

@@ -40,7 +40,8 @@ JUDGED = 300
 # Approximate duration of a timed call [s], and least number of its pixels.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-# Numbers of frames for which a total time per frame is charted: the time of a frame plus this share of the preparation.
+# Numbers of frames n for which the time per frame is charted: the time of a frame plus the time of the preparation over
+# n.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Methods of warpdiff that the charts compare, by kind of coherence.

@@ -65,7 +65,7 @@ class Integral:
 
         self._illumination, self._problem, self._profiles = Illumination.classical, problem.Problem, profiles
         self._solver = solvers.get_solver("integral")
-        # The solver reads indices of refraction from files in a folder that an environment variable names.
+        # The solver reads indices of refraction from files. An environment variable states their folder.
         self._folder = tempfile.TemporaryDirectory()
         os.environ["GRATINGLAB_MATERIALS"] = self._folder.name
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 COUNT = 2000
 # Least number of bright directions (Y >= f) in the sample, if the call has as many. With fewer, their P99 is noisy.
 BRIGHT = 600
-# Tolerance of the reference: half of this value, or half of the tolerance of the call if that is smaller.
+# The reference has half of this tolerance, or half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3
 # Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the foreshortened
 # spread of the source in (u, v) is so narrow that the reference requires half a million wavelengths.
