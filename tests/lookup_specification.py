@@ -359,7 +359,10 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of ``run`` directions per thread to ``xyz_out``. Without footprints their array is empty."""
+        """Add the XYZ of ``run`` directions per thread to ``xyz_out``.
+
+        If no footprints are used, their array is empty.
+        """
         begin = (first + wp.tid()) * run
         for i in range(begin, wp.min(begin + run, gains.shape[0])):
             u = wp.float32(scattering_vectors[i][0])

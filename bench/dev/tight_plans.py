@@ -280,7 +280,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan with the numbers of wavelengths of one assignment."""
+        """Return a plan with the numbers of wavelengths that one assignment states."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN

@@ -140,8 +140,8 @@ def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, sprea
 def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
     """All directions have about a millionth of the reflectance in the mirror direction, whose lobe must not reach them.
 
-    The terms of a series of powers cancel in such directions. Calls with few directions, which skip the search, must
-    replace this series, too.
+    In such dark directions the terms of a series of powers cancel. Another series must replace it, also in calls with
+    few directions, which skip the search.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
