@@ -218,7 +218,7 @@ def _one_of(make):
 
 
 def topography(**changes) -> SimpleNamespace:
-    """A map as SurfaceTopography returns it, with changes."""
+    """Return an object with the attributes of a map that SurfaceTopography reads. ``changes`` replaces some of them."""
     known = {"heights": lambda: np.zeros((3, 2)), "physical_sizes": (3.0, 2.0), "unit": "um", "dim": 2}
     return SimpleNamespace(**known | changes)
 
@@ -391,7 +391,8 @@ def call(name, fuzzed):
         return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
     arguments = {}
     for key, parameter in inspect.signature(function).parameters.items():
-        # Default arguments of gratings are cheap, so they are not replaced by the legal values.
+        # Gratings are called with their default arguments instead of the legal values, because the defaults are
+        # computed quickly.
         if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):
             arguments[key] = LEGAL[key]
         elif key in LEGAL_BY_CALL and key not in fuzzed:

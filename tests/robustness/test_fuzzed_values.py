@@ -119,7 +119,8 @@ def check(name, fuzzed):
         except (ValueError, TypeError, OSError) as error:
             message = str(error)
         except (ImportError, RuntimeError):
-            # ``register_mitsuba_bsdf`` may fail because Mitsuba is not installed or not set up.
+            # Only ``register_mitsuba_bsdf`` may raise other errors, because Mitsuba may not be installed or not be set
+            # up.
             if name != "register_mitsuba_bsdf":
                 raise
         else:
