@@ -345,10 +345,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
-        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
-        # Outputs of the kernel:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
         """Add the XYZ of each direction to ``xyz_out``: its integral over a set of wavelengths, times its gain."""
@@ -403,10 +401,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def sample(
-        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), wavenumbers: wp.array(dtype=wp.float64), first: wp.int32,
-        # Outputs of the kernel:
         reflectance_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
         """Compute ρ of each direction at each of the given wavelengths."""
