@@ -137,7 +137,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
-        """Return the Gaussian window for one direction to the light, at λ = 1 µm for a source."""
+        """Return the Gaussian window over coefficients for one direction to the light.
+
+        Under a source its width depends on the wavelength, and the returned window is that of λ = 1 µm.
+        """
         window = Window()
         if wp.static(form == "source"):
             # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,

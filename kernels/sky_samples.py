@@ -2,7 +2,7 @@
 
 The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
 blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
-both densities (balance heuristic, Veach 1997).
+its densities in the two kinds (balance heuristic, Veach 1997).
 """
 
 import math

@@ -632,7 +632,7 @@ class HeightField:
         return field
 
     def _after(self, origin: HeightField, step: str) -> HeightField:
-        """Set the history of a new field: that of the field it was made from, and one step; return the field."""
+        """Set the history of this field to that of the field it was made from, plus one step; return this field."""
         self._history = (*origin._history, step)
         return self
 
