@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PITCH_UM = 0.05
 # Standard deviations of the local period of the synthetic fields, relative to the mean period.
 VARIATIONS = (0.0, 0.003, 0.01, 0.03, 0.06, 0.1)
-# First seed of the fields on which the search for periods is tested. It was tuned on seeds below 30,000.
+# First seed of the fields on which the search for periods is tested. The search was tuned on seeds below 30,000.
 SEED = 50_000
 
 

@@ -45,8 +45,8 @@ def test_resampling_up_and_down_returns_the_original(shape: tuple[int, int], fac
     assert finer.shape == tuple(1 if n == 1 else round(n * factor) for n in shape)
     back = finer.resampled(field.pitch_um)
     np.testing.assert_allclose(back.heights_um, field.heights_um, atol=1e-15)
-    # By Parseval's theorem, resampling preserves the rms height, but an even number of samples has a Nyquist term that
-    # is split.
+    # By Parseval's theorem, resampling preserves the rms height. Even numbers of samples are exceptions, because their
+    # Nyquist term is split between two frequencies.
     if all(n % 2 == 1 for n in shape):
         assert finer.rms_um == pytest.approx(field.rms_um, rel=1e-12)
     assert np.mean(finer.heights_um) == pytest.approx(np.mean(field.heights_um), abs=1e-15)

@@ -1,4 +1,4 @@
-"""Warnings of fields that are not levelled or whose edges do not match, where this matters."""
+"""Warnings about height fields that are not levelled or whose edges do not match, if this changes their colours."""
 
 import warnings
 

@@ -30,8 +30,8 @@ def test_periods_between_fourier_coefficients_are_accurate_to_their_standard_err
     assert result.share > 0.98
     assert result.is_coherent
     assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
-    # The profile is between a sine and a square wave: so is its first amplitude, and its second harmonic nearly
-    # vanishes.
+    # The profile of the grooves is between a sine and a square wave. So is the amplitude of its fundamental, and its
+    # second harmonic nearly vanishes.
     assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
     assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:
@@ -64,7 +64,7 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise, least):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        # No period is returned if noise could have made the wave. Such a field adds no score.
+        # No period is returned for a wave that may be noise. Such a field adds no entry to ``scores``.
         scores += [
             abs(result.period_um - 1.37) / result.standard_error_um
             for result in wd.HeightField(heights, PITCH).periods(1)
@@ -156,8 +156,8 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The cropped field ends before line 173 of the field, which nearly equals line 0. The last line of the field does
-    # not.
+    # The cropped field ends before line 173 of the original field. Whole periods were cut, so that this line nearly
+    # equals line 0. The last line of the original field does not.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

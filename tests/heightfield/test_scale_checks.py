@@ -102,7 +102,7 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
         for flat in (0.0, 0.37, -1e-7):
             field = wd.HeightField(np.full((8, 8), flat), 0.05)
             wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # A flat field has rounding errors of this size after a tilt was subtracted.
+        # After a tilt is subtracted from a flat field, rounding errors of about 1e-16 µm remain.
         wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
         wd.HeightField([[0.2]], 0.05)
         for function, arguments in GRATINGS.values():

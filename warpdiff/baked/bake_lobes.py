@@ -47,9 +47,9 @@ _BLUE_UM = 0.43
 # First number: largest error from the truncated set of functions of w, as a share of the tolerance. Second number:
 # relative tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# First number: typical number of colours that are computed for a table. Second number: limit on the estimated time for
-# them [s on one core]. Estimates are too long: for a source of 2° over a patch of 12.8 µm, 83 s were estimated and 25 s
-# measured.
+# First number: typical number of colours that are computed for a table. Second number: maximum of the estimated time
+# for them [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8 µm, 83 s were estimated and
+# 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
 # their colours are proportional to w² and need no samples.

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.periods import Period
     from warpdiff.heightfield.theory_verdict import TheoryVerdict
 
-# Largest relative standard error of a period, and smallest share of the variance of the heights that it explains, for a
-# period in a summary. If the first is doubled, less certain periods are listed; if the second is doubled, fewer
-# periods.
+# A summary lists periods with at most this relative standard error, and at least this share of the variance of the
+# heights. If the first number is doubled, less certain periods are listed; if the second is doubled, fewer periods are.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
 
 # Value of |κ| for which aliasing is estimated [1/µm]: directions to light and view along the normal, at 380 nm.

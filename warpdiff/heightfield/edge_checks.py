@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 # Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as
 # tilted. Measured on a patch of 18 µm: at a ratio of 0.3 colours do not change, at 1 the scattered power falls by 29 %.
 _MOST_TILT = 1.0
-# Ratio of the same standard deviations from which the heights are an exact plane, as in one period of a blazed grating.
-# Such a plane is no tilt of the sample.
+# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, from which the heights are an
+# exact plane, as in one period of a blazed grating. Such a plane is no tilt of the sample.
 _EXACT = 1e6
 # Ratio of the standard deviation of the smooth part of Moisan's decomposition to that of the heights, above which
 # opposite edges count as unequal. `HeightField.periodic` warns from the same ratio. Patches with many features are
 # below it.
 _MOST_CHANGE = 0.4
-# Ratio of the jump across opposite edges to the largest steps within the field. Up to this ratio, the jump may be a
-# wall of a grating, and no warning follows.
+# Ratio of the jump across opposite edges to the largest steps between neighbouring samples. Up to this ratio, the jump
+# may be a wall of a grating, and no warning follows.
 _MOST_JUMP = 1.5
 # Share of the interfering pairs of points with an edge of the field between them, from which a warning follows. It is
 # derived for a Gaussian window, in which two points have a mean distance of 2σ/√π along an axis.
@@ -79,14 +79,14 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
 
 def _jump(heights: NDArray[np.float64], axis: int) -> float:
-    """Return the rms jump across opposite edges relative to the largest steps within a field; 0 for a flat field."""
+    """Return the rms jump across opposite edges relative to the largest steps within the field; 0 without a jump."""
     if heights.shape[axis] < 3:
         return 0.0
     jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))
     if jump <= 1e-9 * float(np.max(np.abs(heights))):
         return 0.0
-    # The median is over the lines along the axis, each with its largest step. It includes walls of a grating, which are
-    # in most lines, and excludes dust, which is in few lines.
+    # The largest step of each line along the axis is computed, and the median over all lines is used. It includes walls
+    # of a grating, which are in most lines, and excludes dust, which is in few lines.
     largest = float(np.median(np.max(np.abs(np.diff(heights, axis=axis)), axis=axis)))
     return jump / largest if largest > 0.0 else 0.0
 
@@ -99,6 +99,7 @@ def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -
     if sigma is None:
         sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
     if coherence.kind == "centred" and coherence.centre_um is None:
-        # A single window is in the middle of the patch. The share is its weight beyond the edges.
+        # A single window is in the middle of the patch. Pairs of points with an edge between them have the share of its
+        # weight that lies beyond the edges.
         return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
     return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

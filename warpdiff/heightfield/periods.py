@@ -40,13 +40,14 @@ _MOST_ALIASED = 5
 # Radius of the band of a wavering wave, in standard deviations of the frequencies in this band, weighted by their
 # power.
 _BAND_IN_DEVIATIONS = 2.5
-# Distance of two lines [cycles over the field] below which they count as one, because the main lobe of the window
-# contains both lines.
+# Distance of two lines [cycles over the field] below which they count as one, because they are within one main lobe of
+# the Hann window.
 _RESOLUTION = 2.5
-# A wave counts as coherent if the best sine leaves less power in its band than this fraction of the power of the sine.
+# A wave counts as coherent if its best sine is subtracted and less power remains around its frequency than this
+# fraction of the power of the sine.
 _COHERENT = 0.5
-# Share of the power left in the band that a second sine must explain to count as another wave. Otherwise the left power
-# belongs to the first wave, whose phase varies.
+# After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
+# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies.
 _SECOND = 0.7
 # A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
 # side of the wave has more than this fraction of the power of the line.
@@ -54,11 +55,11 @@ _TWIN = 0.25
 # Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
 # band; and step [cycles over the field] below which the search ends.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
-# The standard error of a frequency is estimated from the power of the phase error at low frequencies: at this number of
-# frequencies along each axis for coherent waves; below this frequency [cycles over the field] for wavering waves, in
-# fields of two axes and of one. Their power is extrapolated to the frequencies of the second line, in fields of two
-# axes and of one. An endless random walk of the phase would require 0.5; the values are fitted by
-# bench/reproduce/periods.py.
+# The standard error of a wave's frequency is estimated from the lowest frequencies in the spectrum of its phase error
+# [cycles over the field]. `_COHERENT_ORDINATES` of them are used along each axis for coherent waves, and those below
+# `_WAVERING_ORDINATES` for wavering waves. Their power is extrapolated to the frequency `_COHERENT_AT` or
+# `_WAVERING_AT`. Pairs of numbers are for fields of two axes and of one. For an endless random walk of the phase this
+# frequency is 0.5; the values are fitted by bench/reproduce/periods.py.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # Ratios of the power of a random walk to that of white noise, at one cycle over the field, that are tried as the
@@ -309,7 +310,7 @@ class _Search:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Return the variance of white noise that would disturb the frequency along each axis as the residual does.
+        """Return the variance of white noise that causes the same error of the frequency as the residual, per axis.
 
         The residual of a fit, times the derivative of the wave with respect to its phase, is the score of the phase.
         Only its lowest frequencies disturb the fitted frequency. They come from noise, from steps between scan lines or
@@ -375,8 +376,8 @@ class _Search:
         distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
         low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
         variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
-        # The mean frequency is weighted by the power above the background, but this variance by all power in the band.
-        # The ratio of both powers corrects the error.
+        # The variance is relative to all power in the band, but only the power above the background determines the mean
+        # frequency. The ratio of the two powers corrects the standard error.
         error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
         degrees = np.count_nonzero(low)
         error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0

@@ -33,7 +33,7 @@ _STEEP, _TOO_STEEP = 5.0, 10.0
 # Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. It
 # gets no warning.
 _ROUNDING = 1e-12
-# Units that users may have meant, in µm, from the most to the least usual one.
+# Units that users may have meant instead of µm, with their lengths in µm, from the most to the least usual one.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
 # Usual height ranges [µm], pitches [µm] and mean slopes of scans. Another unit is proposed only if it brings all three
 # into these ranges.
@@ -50,8 +50,9 @@ _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
     65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
 )  # fmt: skip
-# Distance of a code for missing data from all other heights, relative to their range: if the code is listed above, and
-# if it is any other number. A number that is not listed must also occur in at least the third number of samples.
+# A number far from all other heights may be a code for missing data. The first two numbers are the smallest distance,
+# relative to the range of the other heights: for the codes listed above, and for any other number. The third is the
+# smallest number of samples with exactly that other number.
 _FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
 # Magnitude [µm] that no height has, whatever its unit. Larger numbers are codes for missing data, such as 1e20 and the
 # largest float32.
@@ -117,7 +118,7 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
             return None
         spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
         known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
-        # If all other heights are equal, as in a binary grating, only listed numbers of at least 1e4 count as codes.
+        # If all other heights are equal, as in a binary grating, only known codes of at least 1e4 µm count.
         if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
             gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
         ):
@@ -154,8 +155,8 @@ class _Scale:
         pitch = min(pitch_um[axis] for axis in free), max(pitch_um[axis] for axis in free)
         size = max(heights.shape[axis] * pitch_um[axis] for axis in free)
         if _is_within(pitch, size) and _SUSPICIOUS_RANGE_UM <= height <= _STEEP * pitch[0]:
-            # Neighbouring samples differ at most by the height range, so that no slope exceeds the limit. Nothing is
-            # unusual.
+            # Neighbouring samples differ at most by the height range, which is so small that no slope is above the
+            # limit for a warning.
             return None
         slopes = []
         for axis in free:
@@ -239,5 +240,5 @@ class _Scale:
 
 
 def _is_within(pitch: tuple[float, float], size: float) -> bool:
-    """Return whether the smallest pitch, the largest pitch and the size of a field [µm] are usual."""
+    """Return whether the smallest pitch, the largest pitch and the size [µm] are in the ranges of usual scans."""
     return _PITCHES_UM[0] <= pitch[0] and pitch[1] <= _PITCHES_UM[1] and size >= _LEAST_SIZE_UM

@@ -40,13 +40,14 @@ _MAIN_LOBE = 1.8
 # direction. Here are their half width, relative to the frequency of the line, and the largest number of positions along
 # each strip.
 _STRIP, _MOST_ALONG = 0.15, 40
-# End of the strip at higher frequencies, relative to the frequency of the line: in fields of two axes; and in single
-# rows or columns, where a strip has fewer coefficients.
+# The background of a line is estimated at higher frequencies up to this multiple of the frequency of the line: in
+# fields of two axes; and in single rows or columns, which have fewer coefficients.
 _HIGHEST = (1.8, 2.4)
-# The coarse background is estimated in bins of the frequency plane: rings per octave of frequency, and sectors of half
-# of the plane. Larger spectra are thinned to about the third number of coefficients. Limit: time.
+# The coarse background is estimated in bins of the frequency plane: number of rings per octave of frequency, and number
+# of sectors of half of the plane. The third number is that of the coefficients used in large spectra. Limit: time.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
-# Frequency [cycles over the longer side of the field] below which a spectrum is not thinned for the coarse background.
+# Frequency [cycles over the longer side of the field] below which all coefficients are used for the coarse background,
+# also in large spectra.
 _FEW_CYCLES = 64.0
 # Smallest and largest exponent p of a background that is proportional to the frequency to the power −p. Values beyond
 # these limits are errors of an estimate from few coefficients.
@@ -58,7 +59,7 @@ _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a bin from which the coarse background is estimated. It is below the median, because at low
 # frequencies a line covers most of a bin.
 _QUANTILE = 0.15
-# Ratios of the mean of exponentially distributed powers to their median, and to the quantile above.
+# Ratios of the mean of exponentially distributed powers to their median, and to their quantile `_QUANTILE`.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
@@ -135,7 +136,7 @@ class WindowedSpectrum:
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-        """Return the frequency of the largest power within ``radius`` cycles around another frequency."""
+        """Return the frequency of the largest power within ``radius`` cycles around a given frequency."""
         rows, columns = self._window(cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])].copy()
         power[np.hypot(rows[:, None] - cycles[0], columns[None, :] - cycles[1]) > radius] = 0.0
@@ -143,7 +144,7 @@ class WindowedSpectrum:
         return np.array([float(rows[row]), float(columns[column])])
 
     def _window(self, cycles: NDArray[np.float64], radius: float) -> list[NDArray[np.int64]]:
-        """Return frequencies of rows and of columns [cycles] that are within ``radius`` cycles of another frequency."""
+        """Return frequencies of rows and of columns [cycles] that are within ``radius`` cycles of a given frequency."""
         return [
             np.arange(max(math.ceil(c - radius), -centre), min(math.floor(c + radius) + 1, n - centre))
             for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
@@ -207,7 +208,7 @@ class WindowedSpectrum:
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
-        """Return the strongest significant line of the spectrum averaged over boxes of a width, or None."""
+        """Return the strongest significant line of the spectrum after averages over boxes of one width, or None."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
@@ -262,8 +263,8 @@ class WindowedSpectrum:
         centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
-            # A straight line contains only about the square root of the number of all coefficients. Noise has fewer
-            # maxima along it, so that a larger probability is accepted for each maximum.
+            # A straight line through the spectrum contains only about √n of its n coefficients. Noise has fewer maxima
+            # along the line, so that a larger probability is accepted for each maximum.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0
@@ -349,8 +350,8 @@ class WindowedSpectrum:
             np.abs(dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES - shifts) <= 0.6
             for mask in (outside, inside)
         )
-        # Median power of the rest of each straight line. The powers are sorted already, so that cumulative counts give
-        # all medians at once.
+        # Median power along each straight line, outside of the maximum. The powers are sorted already, so that
+        # cumulative counts give all medians at once.
         number = np.cumsum(on_rest[:, order], axis=1, dtype=np.int32)
         middle = np.argmax(2 * number >= number[:, -1:], axis=1)
         medians = np.maximum(_MEAN_OF_MEDIAN * rest[middle], 1e-300)

@@ -228,8 +228,8 @@ def _part(
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
     """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
 
-    The pitch of the part [µm] and a window follow. Along an axis where the part is smaller than the field, the window
-    falls to 0 at both ends; elsewhere it is 1.
+    Also return the pitch of the part [µm] and a window. Along an axis where the part is smaller than the field, the
+    window falls to 0 at both ends; elsewhere it is 1.
     """
     most = _MOST_OF_PROFILE if 1 in heightfield.shape else _MOST_OF_FIELD
     steps, parts, fades = [], [], []
