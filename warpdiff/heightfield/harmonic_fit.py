@@ -73,7 +73,7 @@ def fit_sine(
         row, column = np.unravel_index(int(np.argmax(power)), power.shape)
         best = best + np.array([steps[0][row], steps[1][column]])
     along_y, along_x = (np.exp(2j * np.pi * c * place) for c, place in zip(best, places, strict=True))
-    # Least-squares amplitudes of the cosine and the sine of this frequency, over the known samples.
+    # Least-squares amplitudes of the cosine and the sine of the fitted frequency, over the known samples.
     weight = known.astype(np.float64)
     twice = np.conj(along_y) ** 2 @ weight @ np.conj(along_x) ** 2 / np.sum(weight)
     once = 2.0 * (np.conj(along_y) @ np.where(known, heights, 0.0) @ np.conj(along_x)) / np.sum(weight)

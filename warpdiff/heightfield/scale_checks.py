@@ -38,8 +38,8 @@ _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 
 # Usual height ranges [µm], pitches [µm] and mean slopes of scans. Another unit is proposed only if it brings all three
 # into these ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm]. Of several possible units, the one is proposed that brings the height range
-# nearest to it on a logarithmic scale.
+# Middle of the usual height ranges [µm]. If several units are possible, the proposed one brings the height range
+# nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
 # Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
@@ -118,7 +118,8 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
             return None
         spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
         known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
-        # If all other heights are equal, as in a binary grating, only known codes of at least 1e4 µm count.
+        # If all other heights are equal, as in a binary grating, only known codes for missing data of at least 1e4 µm
+        # count.
         if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
             gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
         ):

@@ -320,8 +320,8 @@ class WindowedSpectrum:
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (
-            # In extremely long and narrow fields these indices would exceed the range of integers, so that they are
-            # clipped.
+            # In extremely long and narrow fields, indices of coefficients would exceed the range of integers, so that
+            # they are clipped.
             np.clip(np.round(vector * size), -n, n).astype(np.int64) + centre
             for vector, size, n, centre in zip(vectors, sizes, (ny, nx), self.centre, strict=True)
         )

@@ -176,7 +176,8 @@ def verdict_on(
         # slope, too.
         reason = "steep"
     if errors["undersampled"] >= INVALID:
-        # If the samples are too far apart, the other estimates are wrong too, because they use the same samples.
+        # If the samples are too far apart, all other estimates of the error are wrong too, because they use the same
+        # samples.
         reason = "undersampled"
     return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
 
