@@ -43,7 +43,7 @@ _BAND_IN_DEVIATIONS = 2.5
 # Distance of two lines [cycles over the field] below which they count as one, because they are within one main lobe of
 # the Hann window.
 _RESOLUTION = 2.5
-# A wave counts as coherent if its best sine is subtracted and less power remains around its frequency than this
+# A wave counts as coherent if, after its best sine is subtracted, less power remains around its frequency than this
 # fraction of the power of the sine.
 _COHERENT = 0.5
 # After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
