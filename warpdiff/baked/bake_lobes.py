@@ -66,8 +66,8 @@ _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170
-# Limit: largest height range of a baked height field [µm]. The powers of a deeper relief oscillate over w so fast that
-# their samples require more than a minute.
+# Largest height range of a height field that can be baked [µm]. The powers of a deeper relief oscillate over w so fast
+# that their samples require more than a minute.
 _MOST_HEIGHT_UM = 12.0
 
 

@@ -136,7 +136,7 @@ def _jacobi_anger_growth(argument: float) -> float:
 
 
 def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield 1, g, g², … without end."""
+    """Yield the powers 1, g, g², … of the values ``g``, without end."""
     value = np.ones_like(g)
     while True:
         yield value
