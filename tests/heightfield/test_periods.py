@@ -101,7 +101,8 @@ def test_two_waves_of_similar_periods_are_two_and_a_wavering_one_is_one():
         (one,) = wd.HeightField(0.1 * np.cos(phase) + noise, PITCH).periods()
         assert abs(one.period_um - 0.9) < max(2.0 * one.standard_error_um, 1e-3)
         assert one.share > 0.5
-    # The local frequency increases along x by 0.4 cycles per µm, so that its mean is 0.2 above its first value.
+    # The local frequency of this wave increases along x by 0.4 cycles per µm, so that its mean is 0.2 above its first
+    # value.
     (chirp,) = wd.HeightField(0.1 * np.cos(2.0 * np.pi * (X / 0.9 + 0.02 * X**2)) + noise, PITCH).periods()
     assert not chirp.is_coherent
     assert abs(1.0 / chirp.period_um - (1.0 / 0.9 + 0.2)) < 0.02

@@ -71,7 +71,7 @@ def test_codes_for_missing_data_are_named(code: float, pitch: float) -> None:
     words = f"heights_um has 40 sample(s) of exactly {code:.10g}, far from all others, probably a code for missing"
     with pytest.warns(wd.WarpdiffWarning, match=re.escape(words)) as caught:
         field = wd.HeightField(heights, pitch)
-    # Apart from the code, heights are in µm, so that there is no second warning about their unit.
+    # Apart from the code for missing data, heights are in µm, so that there is no second warning about their unit.
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -96,8 +96,8 @@ def despike(
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():
-        # Weighted means lie between the heights that they average. Rounding errors of the Fourier transforms are cut
-        # off.
+        # Weighted means lie between the heights that they average. Rounding errors of the Fourier transforms may exceed
+        # this range, and are clipped.
         filled = np.clip(filled, np.min(heights[known]), np.max(heights[known]))
     return np.where(spikes, filled, measured)
 

@@ -247,8 +247,8 @@ def _orders_and_blocks(
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(most, math.floor(0.5 * OF_NYQUIST / max(cycles))))
     while True:
-        # Along an axis on which the wave hardly changes, blocks are as short as for a wave of one period over the
-        # field.
+        # The wave may hardly change along one axis. Blocks along this axis are as short as for a wave with one period
+        # over the field.
         density = [_SAMPLES_PER_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
         blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
         elements = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)

@@ -60,7 +60,7 @@ _MOST_HEIGHT = 1e9
 
 
 def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
-    """Raise an error if the magnitude of a height exceeds ``most``, because the height is a code for missing data."""
+    """Raise an error if the magnitude of a height exceeds ``most``: such a number is a code for missing data."""
     beyond = (heights > most) | (heights < -most)
     if count := int(np.count_nonzero(beyond)):
         raise ArgumentValueError(

@@ -58,7 +58,7 @@ _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY =
 # estimated error is 1: the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
 # Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
-# two wavelengths. Fitted with the factors above.
+# two wavelengths. Fitted to the same rigorous solutions as the factors above.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimates of a height field are cached. Limit: memory; a call for a
 # spectrum uses three wavelengths.
