@@ -15,7 +15,8 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Limits of the approximations of footprints. ``kernels/native/footprint_lookup.h`` has equal values and explains them.
+# Numbers in the rules by which footprints are approximated. ``kernels/native/footprint_lookup.h`` has equal values and
+# explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
@@ -25,7 +26,7 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Limits of sums over rings. ``kernels/native/ring_sum.h`` has equal values and explains them.
+# Numbers in the rules by which rings are added. ``kernels/native/ring_sum.h`` has equal values and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))

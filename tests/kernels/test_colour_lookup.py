@@ -65,7 +65,7 @@ def test_native_look_ups_equal_the_reference_implementation(coherence, footprint
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
     # For a direction near the limit of the table, rounding decides whether the table serves it. Directions for which
-    # both implementations decide differently are excluded.
+    # the native look-up and its specification decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
     # Between azimuth samples and between rings, native look-ups round a position to 1/64 of their distance.

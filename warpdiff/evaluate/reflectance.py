@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 # Relative change of XYZ, as a share of the tolerance, at which the direct method has converged. It halves the step
 # between wavelengths until then.
 _DIRECT_SETTLED = 0.05
-# Limit on the number of wavelengths of the direct method. Time is proportional to it: at this limit, a direction
+# Maximum number of wavelengths of the direct method. The time is proportional to it: at the maximum, a direction
 # requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
 # Measured memory [bytes]: per direction of a call; in addition per direction and wavelength of a spectrum; and per

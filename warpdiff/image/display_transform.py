@@ -67,8 +67,8 @@ MATRICES = {
     "labToRoots": _LAB_TO_ROOTS,
 }  # fmt: skip
 
-# Limits of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas up
-# to the first limit are unchanged, and the second limit is compressed to 1. Derived: monochromatic light has at most
+# Range of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas up
+# to the first number are unchanged, and the second number is compressed to 1. Derived: monochromatic light has at most
 # 3.96, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
 # Number of hues in the table of the largest chroma, one per 0.25°. Limit: the table is interpolated linearly.

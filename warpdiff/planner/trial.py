@@ -293,8 +293,9 @@ class Trial:
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # For a source near the horizon, the number of wavelengths of the reference plan is limited. Its values are
-        # wrong for directions with larger order rates than this number resolves.
+        # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
+        # near the horizon. Its values are then wrong for directions with a larger order rate than these wavelengths
+        # resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None

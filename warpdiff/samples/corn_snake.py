@@ -83,7 +83,7 @@ _TEXELS = 8
 class _Patch(NamedTuple):
     """Part of the mesh on the unrolled skin.
 
-    Texture coordinates are stored in addition to positions, because both differ where scales overlap.
+    Texture coordinates are stored in addition to positions, because they differ from them where scales overlap.
 
     Attributes:
         x: Position around the body [rows], shape (k,).

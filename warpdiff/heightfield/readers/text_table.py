@@ -186,7 +186,8 @@ def form_of(lines: Sequence[str]) -> Form | None:
     best, chosen = 0, None
     for separator, decimal in _FORMS:
         form, counts = Form(separator, decimal), dict[int, int]()
-        # If the comma is both separator and decimal sign, only quotes around the cells can distinguish both uses.
+        # If a comma separates the cells and is also the decimal sign, only quotes around the cells show which commas
+        # are separators.
         if separator == decimal and not any('"' in line for line in sample):
             continue
         for line in sample:
