@@ -47,7 +47,7 @@ def test_tall_fields_are_shown_in_um_and_missing_samples_are_masked(ax):
     np.testing.assert_array_equal(shown.mask, np.isnan(heights))
     np.testing.assert_array_equal(shown.compressed(), [0.0, 1.5, 0.5])
     assert ax.child_axes[0].get_ylabel() == "height [µm]"
-    assert ax.get_title() == "Heights, 2 × 2 µm, 1 samples missing (grey)"
+    assert ax.get_title() == "Heights, 2 × 2 µm, 1 samples missing (white)"
 
 
 @pytest.mark.parametrize("turns", [0, 1])

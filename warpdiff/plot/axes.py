@@ -16,7 +16,7 @@ LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
 # Second mark of lines, for prints without colours and after all colours are used.
 LINE_STYLES = ("-", "--", ":", "-.")
 # Colour of grid lines, and of samples without a value.
-FAINT, MISSING = "0.85", "0.75"
+FAINT, MISSING = "0.85", "white"
 # Largest length of a scale bar, as a share of the width of the plot. Limit: it is a mark, not an axis.
 _LONGEST_BAR = 0.25
 # Length of the longer side of a map in a new figure [inches].

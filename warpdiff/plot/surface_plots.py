@@ -52,7 +52,7 @@ def height_map(
 ) -> Axes:  # fmt: skip
     """Plot the heights as a map with a scale bar and a colour bar, x to the right and y up.
 
-    Heights are in nm, or in µm from a height range of 1 µm on. Missing samples are grey.
+    Heights are in nm, or in µm from a height range of 1 µm on. Missing samples are white.
 
     Args:
         heightfield: Height field.
@@ -87,7 +87,7 @@ def height_map(
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
     picture = ax.imshow(
         factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
-        cmap=_with_grey(cmap), interpolation="nearest", aspect="equal",
+        cmap=_with_gaps(cmap), interpolation="nearest", aspect="equal",
     )  # fmt: skip
     ax.set_xlabel("x [µm]" if nx > 1 or not is_band else "constant along x")
     ax.set_ylabel("y [µm]" if ny > 1 or not is_band else "constant along y")
@@ -96,7 +96,7 @@ def height_map(
     gaps = int(np.count_nonzero(heightfield.missing))
     size = f"{lx:.3g} µm" if is_band and ny == 1 else f"{ly:.3g} µm" if is_band else f"{lx:.3g} × {ly:.3g} µm"
     ax.set_title(
-        (f"Heights, {size}" + (f", {gaps} samples missing (grey)" if gaps else "")) if title is None else title
+        (f"Heights, {size}" + (f", {gaps} samples missing (white)" if gaps else "")) if title is None else title
     )
     add_colour_bar(ax, picture, f"height [{unit}]")
     if not is_band:
@@ -323,8 +323,8 @@ def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) 
     clean_grid(below)
 
 
-def _with_grey(cmap: str) -> Any:
-    """Return a colour map by its name, in which samples without a value are grey."""
+def _with_gaps(cmap: str) -> Any:
+    """Return a colour map by its name, in which samples without a value are white."""
     import matplotlib as mpl
 
     if cmap not in mpl.colormaps:
