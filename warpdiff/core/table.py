@@ -30,8 +30,8 @@ _DIGITS = 5
 class Table:
     """Rows of a result with named columns; ``print`` shows it, `save` writes a CSV file.
 
-    Names of columns end in their unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or texts. A
-    table is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
+    Names of columns end in their unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or texts.
+    A table is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
 
     Args:
         columns: Columns by name, each of shape (n,).

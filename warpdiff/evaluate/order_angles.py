@@ -36,8 +36,8 @@ def order_angles(
 ) -> Table:  # fmt: skip
     """Return the angles at which the orders of each period leave the surface, with their standard errors.
 
-    The angles follow from the grating equation: ωi + ωr has the component mλ/P along the wave vector of the period P. The
-    standard error of an angle follows from that of the period. The efficiency of an order is not considered; see
+    The angles follow from the grating equation: ωi + ωr has the component mλ/P along the wave vector of the period P.
+    The standard error of an angle follows from that of the period. The efficiency of an order is not considered; see
     :func:`warpdiff.order_efficiencies`.
 
     Args:

@@ -144,8 +144,8 @@ def reflectance(
             progress bar.
 
     Returns:
-        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, but float64 for ``method="direct"``. A flat mirror
-        at normal incidence has the colour of the illuminant, Y = 1.
+        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, but float64 for ``method="direct"``. A flat
+        mirror at normal incidence has the colour of the illuminant, Y = 1.
 
     Examples:
         >>> import warpdiff as wd
