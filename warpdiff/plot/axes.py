@@ -65,7 +65,7 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def length_unit(range_um: float) -> tuple[str, float]:
-    """Return the unit for heights with this range, ``"µm"`` or ``"nm"``, and its number per micrometre."""
+    """Return the unit of a height axis, ``"µm"`` or ``"nm"``, and the factor that converts µm to this unit."""
     return ("µm", 1.0) if range_um >= _LEAST_MICROMETRES else ("nm", _NM_PER_UM)
 
 

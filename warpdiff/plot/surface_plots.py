@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 # Share of the total power that a plot of the power spectrum shows; the highest frequencies are cut off. Limit: the
 # frequencies that are cut off contain noise only.
 _SHOWN_POWER = 0.999
-# Minimum end of the frequency axes of a power spectrum, relative to the highest frequency of the periods. It is more
-# than 1, so that the marks of the periods are not at the edge.
+# The frequency axes of a power spectrum extend at least to this multiple of the highest frequency of the periods. It is
+# more than 1, so that the marks of the periods are not at the edge.
 _AROUND_PERIODS = 1.4
 # Colours of a power spectrum. First number: share of the frequencies that have the darkest colour, because their power
 # is below the range of the colours. Second number: the range begins at most at this share of the largest power.
