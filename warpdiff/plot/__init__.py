@@ -1,4 +1,4 @@
-"""Plots of height fields and results with matplotlib, public as ``wd.plot`` (extra ``plot``).
+"""Plots of height fields and results with matplotlib, public as ``wd.plot``; requires ``pip install 'warpdiff[plot]'``.
 
 The functions plot height fields, order efficiencies, spectra, pictures and plans. Each function accepts ``ax=``, the
 matplotlib axes to draw into; by default it makes a new figure. It returns the axes, and

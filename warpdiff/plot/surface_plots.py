@@ -262,7 +262,7 @@ def _words(period: Period) -> str:
 def _draw_line(
     ax: Axes, density: NDArray[np.float64], frequencies: NDArray[np.float64], periods: tuple[Period, ...], axis: str
 ) -> None:
-    """Draw the power spectrum of a field that is constant along x or y as a line, and mark the periods."""
+    """Draw the power spectrum of a field that is constant along x or y: a line plot with marks of the periods."""
     positive = frequencies > 0.0
     # The power at negative frequencies equals that at positive ones. Twice the density at positive frequencies
     # therefore integrates to the variance of the heights.
