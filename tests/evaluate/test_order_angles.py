@@ -1,4 +1,4 @@
-"""Angles of orders obey the grating equation; their standard errors equal their change for a changed period."""
+"""Angles of orders obey the grating equation; a change of the period by its error changes them by their error."""
 
 import math
 

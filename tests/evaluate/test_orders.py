@@ -279,7 +279,7 @@ def test_metals_are_normalised_and_glass_is_not():
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
     """At normal incidence a metal with index N reflects |(N − 1) / (N + 1)|².
 
-    Wavelengths outside of the material's table are refused.
+    Wavelengths beyond the measured indices of the material are refused.
     """
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)

@@ -248,8 +248,8 @@ def order_efficiencies(
         else:
             cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
             reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        # The first part has one reflectance for each pair of a light and an order. The second part has the reflectance
-        # of a flat surface for each light.
+        # `reflected` has the reflectance for each pair of a light and an order, followed by the reflectance of a flat
+        # surface for each light.
         reflected, of_flat = np.split(reflected, [len(order)])
         efficiencies[which, column, order] = reflected * mirrors
         sums = np.bincount(which, reflected * stam, len(lights))
@@ -410,7 +410,7 @@ class _OrderMatrix:
 
     @property
     def size(self) -> int:
-        """Number of elements of the matrix."""
+        """Number of elements of the matrix, rows times columns."""
         return int(self.w.size)
 
     def efficiencies(self, powers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -437,8 +437,7 @@ def _coefficients(
     """Return Fourier coefficients H_rs(κ), each at its own κ, with an error of about 1e-13, shape (n,).
 
     Heights are measured from the middle of their range. This changes the phase of the coefficients, but not their
-    power. ``indices`` are the pairs (s, r), shape (n, 2), and
-    ``kappas`` is the κ of each pair [1/µm], shape (n,).
+    power. ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
     """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     # Centre and half of the width of the range of κ in which coefficients are interpolated. The width is at least 1e-9,
