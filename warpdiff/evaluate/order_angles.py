@@ -108,7 +108,7 @@ def order_angles(
 
 
 def _waves(source: object) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of each period of a source."""
+    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of each period in ``source``."""
     if isinstance(source, HeightField):
         if repeating := source.periods():
             return _waves(repeating)
