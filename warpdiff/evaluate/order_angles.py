@@ -45,7 +45,7 @@ def order_angles(
             nothing repeats counts as one period of a grating, with the exact periods Lx and Ly.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        most_order: Largest order m; the result contains the orders −m to m. At least 1, default 3.
+        most_order: Largest absolute value of the orders in the result, at least 1, default 3.
 
     Returns:
         A row per period, wavelength and order that propagates: ``period_um``, ``wavelength_nm``, ``order``, angles
@@ -108,7 +108,7 @@ def order_angles(
 
 
 def _waves(source: object) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of each period in ``source``."""
+    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of all given periods."""
     if isinstance(source, HeightField):
         if repeating := source.periods():
             return _waves(repeating)
