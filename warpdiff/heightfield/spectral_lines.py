@@ -217,8 +217,8 @@ class WindowedSpectrum:
                 return None
             white = ndimage.uniform_filter(white, sides, mode="wrap")
         allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
-        # The Hann window correlates neighbouring coefficients, so that a box has fewer independent powers than
-        # coefficients.
+        # The Hann window correlates neighbouring coefficients. A box of the spectrum therefore has fewer independent
+        # powers than coefficients.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
         tried = max(np.count_nonzero(allowed) / independent, 1.0)
         level = _FALSE_ALARM / tried

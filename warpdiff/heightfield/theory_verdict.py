@@ -115,7 +115,7 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade: use colours and numbers (reliable), only positions of colours (qualitative), or nothing (invalid)."""
+        """Grade of accuracy: reliable; qualitative, if only the positions of colours are reliable; or invalid."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
