@@ -48,7 +48,7 @@ def test_spectrum_is_the_spectral_reflectance(tmp_path, capsys):
         wd.gratings.sinusoidal(2.0, 0.2), wd.direction(5.0, 180.0), wd.direction(15.0), rows["wavelength_nm"],
         material=wd.Material.metal("Al"),
     )  # fmt: skip
-    np.testing.assert_array_equal(rows["reflectance"].astype(np.float32), expected)
+    np.testing.assert_array_equal(rows["relative_reflectance"].astype(np.float32), expected)
 
 
 @pytest.mark.parametrize(

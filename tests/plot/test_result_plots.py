@@ -172,7 +172,7 @@ def test_a_strip_of_a_height_field_is_in_the_plane_of_the_light(ax, monkeypatch,
     np.testing.assert_allclose(views[0][2], light, atol=1e-12)
     np.testing.assert_allclose(views[0][0], [-light[0], -light[1], light[2]], atol=1e-12)
     assert ax.lines[0].get_xdata()[0] == pytest.approx(-30.0)
-    assert ax.get_title() == "Colour against the view angle, light at 30° from the normal"
+    assert ax.get_title() == "Colour against view angle, light at 30°"
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # Directions whose angle from the normal has a smaller sine count as the normal, which has the azimuth 0. Limit:
 # rounding of unit vectors.
 _LEAST_SINE = 1e-12
+# Decimal places of angles [degrees]. Limit: the rounding of unit vectors changes angles by about 1e-14°.
+_DECIMALS = 10
 # Largest angle from the normal, and largest angle around the normal, that `direction` accepts [degrees].
 _MOST_THETA_DEG, _MOST_PHI_DEG = 90.0, 360.0
 
@@ -62,10 +64,11 @@ def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     """
     x, y, z = np.moveaxis(directions, -1, 0)
     sine = np.hypot(x, y)
+    theta = np.degrees(np.arctan2(sine, z))
     # Adding 0 turns −0 into 0. Without this, the azimuth of a direction towards −x could be −180° instead of 180°.
-    return np.degrees(np.arctan2(sine, z)), np.where(
-        sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0
-    )
+    phi = np.where(sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0)
+    # Rounding gives back 20° for `direction(20)`, so that tables can be searched for it.
+    return theta.round(_DECIMALS), phi.round(_DECIMALS)
 
 
 def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:

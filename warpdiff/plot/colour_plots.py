@@ -202,10 +202,8 @@ def colour_strip(
             "mirror direction", (mirror, 1.0), xycoords=ax.get_xaxis_transform(), xytext=(0, 6),
             textcoords="offset points", ha="center", fontsize="small",
         )  # fmt: skip
-    angle = "" if light is None else f", light at {math.degrees(math.acos(min(light[2], 1.0))):.3g}° from the normal"
-    ax.set_title(
-        f"Colour against the view angle{angle}" if title is None else title, pad=18.0 if light is not None else None
-    )
+    angle = "" if light is None else f", light at {math.degrees(math.acos(min(light[2], 1.0))):.3g}°"
+    ax.set_title(f"Colour against view angle{angle}" if title is None else title, pad=None if light is None else 18.0)
     return ax
 
 
