@@ -16,7 +16,14 @@ if TYPE_CHECKING:
 
 # Memory at the peak of methods of `HeightField` [bytes per sample], as measured, without the field itself. Doubled
 # values refuse fields that fit.
-_BYTES_PER_SAMPLE = {"levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0}
+_BYTES_PER_SAMPLE = {
+    "levelled": 34.0,
+    "despiked": 88.0,
+    "periodic": 62.0,
+    "periods": 107.0,
+    "whole_periods": 107.0,
+    "roughness": 107.0,
+}
 
 
 def require_memory(method: str, shape: tuple[int, int]) -> None:
