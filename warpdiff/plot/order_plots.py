@@ -1,0 +1,229 @@
+"""Plots over wavelengths and angles: efficiencies of orders, and reflectance spectra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge
+
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
+from warpdiff.image.display_transform import to_srgb
+from warpdiff.optics import colorimetry
+from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
+from warpdiff.request.signatures import checked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike, NDArray
+
+# Largest luminance of a coloured line on white, whose luminance is 1.
+_LINE_LUMINANCE = 0.3
+Against = Literal["wavelength", "angle"]
+
+
+@checked
+def orders(
+    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
+    count: Annotated[int, Ge(1)] = 7, title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Plot the efficiencies of diffraction orders against the wavelength or against the view angle.
+
+    Args:
+        efficiencies: Result of :func:`warpdiff.order_efficiencies`.
+        ax: Axes to draw into; None makes a figure.
+        against: ``"wavelength"`` draws a line per order. ``"angle"`` draws each order at the angle at which it leaves
+            the surface, with a colour per wavelength. None is ``"wavelength"`` for more than one wavelength.
+        count: Number of orders that are drawn against the wavelength, the strongest ones; at least 1.
+        title: Title; None states what is drawn.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.blazed(2.5, 0.25)
+        >>> result = wd.order_efficiencies(grating, (0, 0, 1), np.linspace(400.0, 700.0, 31))
+        >>> axes = wd.plot.orders(result)
+        >>> axes.get_xlabel()
+        'wavelength [nm]'
+    """
+    if against is None:
+        against = "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
+    ax = axes_for(ax, width=6.4, height=4.0)
+    if against == "wavelength":
+        text = _draw_over_wavelengths(ax, efficiencies, count)
+    else:
+        text = _draw_over_angles(ax, efficiencies)
+    ax.set_ylabel("efficiency [% of the incident power]")
+    ax.set_ylim(bottom=0.0)
+    ax.set_title(text if title is None else title)
+    clean_grid(ax)
+    return ax
+
+
+@checked
+def spectra(
+    source: ReflectanceSpectra | ArrayLike, values: ArrayLike | None = None, *, ax: Axes | None = None,
+    labels: Sequence[str] | None = None, title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Plot reflectance spectra against the wavelength; the visible range has its colours below the axis.
+
+    Args:
+        source: Result of :func:`warpdiff.reflectance_spectra`, or wavelengths [nm], shape (m,).
+        values: Reflectances, shape (m,) or (n, m), with wavelengths; None with a result.
+        ax: Axes to draw into; None makes a figure.
+        labels: Names of the n spectra in the legend; None names the view angles of a result.
+        title: Title; None is "Reflectance spectra", or "Reflectance spectrum".
+
+    Returns:
+        The axes.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        ValueError: The shapes of the arguments differ.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.2, samples=128)
+        >>> to_view = [(0.2, 0, 1), (0.25, 0, 1)]
+        >>> spectra = wd.reflectance_spectra(grating, (0, 0, 1), to_view, np.arange(300.0, 701.0, 5.0))
+        >>> wd.plot.spectra(spectra).get_ylabel()
+        'relative reflectance'
+    """
+    if isinstance(source, ReflectanceSpectra):
+        if values is not None:
+            raise ArgumentValueError(f"{ref('values')} are part of the result, got both: remove {ref('values')}")
+        wavelengths, rows = source.wavelengths_nm, source.values
+        if labels is None and len(rows) > 1:
+            labels = [f"view at {angle:.3g}°" for angle in signed_angles_deg(source.to_view)]
+    else:
+        if values is None:
+            raise ArgumentTypeError(
+                f"{ref('source')} must be the result of reflectance_spectra, or wavelengths with {ref('values')}, got "
+                f"{type(source).__name__} alone"
+            )
+        wavelengths = colorimetry.check_wavelengths(source)
+        rows = np.atleast_2d(validation.finite_array(values, "values"))
+    if rows.ndim != 2 or rows.shape[1] != len(wavelengths):
+        raise ArgumentValueError(
+            f"{ref('values')} must have the shape ({len(wavelengths)},) or (n, {len(wavelengths)}), got {rows.shape}"
+        )
+    if labels is not None and len(labels) != len(rows):
+        raise ArgumentValueError(f"{ref('labels')} must be {len(rows)} names, one per spectrum, got {len(labels)}")
+    ax = axes_for(ax, width=6.4, height=4.0)
+    order = np.argsort(wavelengths)
+    for index, row in enumerate(rows):
+        ax.plot(
+            wavelengths[order], row[order], label=None if labels is None else labels[index],
+            **line_style(len(ax.lines)),
+        )  # fmt: skip
+    ax.set_xlabel("wavelength [nm]")
+    ax.set_ylabel("relative reflectance")
+    ax.margins(x=0.0)
+    ax.set_ylim(bottom=0.0)
+    name = "Reflectance spectra" if len(rows) > 1 else "Reflectance spectrum"
+    ax.set_title(name if title is None else title)
+    clean_grid(ax)
+    _add_colours(ax)
+    if labels is not None:
+        ax.legend(frameon=False)
+    return ax
+
+
+def _add_colours(ax: Axes) -> None:
+    """Add a band with the colours of the wavelengths at the lower edge of a plot over wavelengths."""
+    low, high = ax.get_xlim()
+    wavelengths = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0)
+    xyz = colorimetry.colour_products("D65")
+    # Bright enough for yellow and green; the ends of the visible range fade to black.
+    colours = to_srgb(xyz / xyz[:, 1].max(), "colorimetric", exposure=0.75)
+    edges = np.concatenate([wavelengths - 0.5, wavelengths[-1:] + 0.5])
+    ax.pcolormesh(
+        edges, [-0.035, 0.0], colours[None], transform=ax.get_xaxis_transform(), clip_on=False, rasterized=True,
+    )  # fmt: skip
+    ax.set_xlim(low, high)
+
+
+def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> str:
+    """Draw a line per order, the strongest ones; return the title."""
+    strongest = np.argsort(-result.efficiencies.max(axis=0), kind="stable")[:count]
+    wavelengths = np.argsort(result.wavelengths_nm)
+    # The legend lists the orders in their own order, not by strength.
+    for index, column in enumerate(sorted(strongest.tolist())):
+        values = np.where(np.isnan(result.to_view[:, column, 0]), np.nan, result.efficiencies[:, column])
+        ax.plot(
+            result.wavelengths_nm[wavelengths], 100.0 * values[wavelengths], label=_name(result, column),
+            marker="o" if len(wavelengths) < 3 else None, **line_style(index),
+        )  # fmt: skip
+    ax.set_xlabel("wavelength [nm]")
+    ax.margins(x=0.0)
+    _add_colours(ax)
+    kind = "order (y, x)" if result.orders.any(axis=0).all() else "order"
+    ax.legend(title=kind, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    total = len(result.orders)
+    return "Efficiency of the orders" + (f", the {count} strongest of {total}" if total > count else "")
+
+
+def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
+    """Draw each order at its angle, a colour per wavelength; return the title."""
+    many = len(result.wavelengths_nm) > len(LINE_COLOURS)
+    for row in np.argsort(result.wavelengths_nm).tolist():
+        wavelength = float(result.wavelengths_nm[row])
+        live = ~np.isnan(result.to_view[row, :, 0])
+        angles = signed_angles_deg(result.to_view[row, live])
+        values = 100.0 * result.efficiencies[row, live]
+        colour = wavelength_colour(wavelength)
+        ax.vlines(angles, 0.0, values, color=colour, linewidth=1.6)
+        ax.plot(angles, values, "o", color=colour, markersize=5.0, label=None if many else f"{wavelength:g} nm")
+        if len(result.wavelengths_nm) == 1:
+            for column, angle, value in zip(np.flatnonzero(live), angles, values, strict=True):
+                if len(angles) <= 25:
+                    ax.annotate(
+                        _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points",
+                        ha="center", fontsize="small",
+                    )  # fmt: skip
+    ax.set_xlabel("angle of the order from the normal [°], negative towards −x")
+    ax.set_xlim(-90.0, 90.0)
+    ax.set_xticks(range(-90, 91, 30))
+    ax.margins(y=0.12)
+    if not many and len(result.wavelengths_nm) > 1:
+        ax.legend(frameon=False)
+    if len(result.wavelengths_nm) == 1:
+        return f"Orders at {result.wavelengths_nm[0]:g} nm"
+    return "Orders at their angles"
+
+
+def _name(result: OrderEfficiencies, column: int) -> str:
+    """Return the name of an order: its number, or both numbers for a surface with two axes."""
+    m_y, m_x = result.orders[column].tolist()
+    both = result.orders.any(axis=0)
+    if both.all():
+        return f"({m_y}, {m_x})".replace("-", "−")
+    return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"
+
+
+def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles of unit vectors (n, 3) from the normal [degrees], negative towards −x, or −y where x is 0."""
+    x, y = directions[:, 0], directions[:, 1]
+    sign = np.where((x < -1e-12) | ((np.abs(x) <= 1e-12) & (y < 0.0)), -1.0, 1.0)
+    return np.asarray(sign * np.degrees(np.arctan2(np.hypot(x, y), directions[:, 2])))
+
+
+def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
+    """Return a display colour for a wavelength, dark enough for lines on white; grey outside of the visible range."""
+    if not colorimetry.LAMBDA_MIN_NM <= wavelength_nm <= colorimetry.LAMBDA_MAX_NM:
+        return np.full(3, 0.45)
+    xyz = colorimetry.colour_products("D65")[round(wavelength_nm) - colorimetry.LAMBDA_MIN_NM]
+    rgb = np.clip(colorimetry.xyz_to_rgb(xyz), 0.0, None)
+    luminance = float(colorimetry.rgb_to_xyz(rgb)[1])
+    return colorimetry.srgb_encode(rgb * min(1.0 / rgb.max(), _LINE_LUMINANCE / luminance))
