@@ -121,7 +121,7 @@ def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
 
     def wavering(seed: int) -> wd.HeightField:
         rng = np.random.default_rng(seed)
-        y, x = np.mgrid[:200, :200] * 0.1
+        x = np.arange(200) * 0.1
         drift = random_field(seed, (2.0, 2.0), (0.1, 0.1), shape).heights_um / 0.05
         heights = 0.05 * np.cos(2.0 * np.pi * x / 1.7 + drift + rng.uniform(0.0, 6.0))
         return wd.HeightField.of_known_scale(heights + 0.002 * rng.normal(size=shape), 0.1)

@@ -28,6 +28,8 @@ _STEP = 0.5
 # Number of azimuths over half a turn, and of further levels around the extremes, each with as many azimuths. Limit: the
 # last level has steps of 0.001°, so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
+# Number of azimuths for a standard error. Limit: the further levels find the extremes. If doubled, the time doubles.
+AZIMUTHS_OF_PART = 60
 # Number of secant steps to a crossing. Limit: the error is far below that of the spline.
 _SECANTS = 4
 
@@ -99,8 +101,9 @@ def lag_sums(
 
 
 def decay_of(
-    products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], samples: float
-) -> Decay:
+    products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], samples: float,
+    azimuths: int = _AZIMUTHS,
+) -> Decay:  # fmt: skip
     """Return the distances at which the autocorrelation decays.
 
     The distance at an azimuth is that of the first crossing of the threshold on a straight line from the origin.
@@ -110,9 +113,10 @@ def decay_of(
         pairs: Numbers of pairs by lag.
         pitch_um: Distance of the samples (dy, dx) [µm].
         samples: Number of measured samples.
+        azimuths: Number of azimuths over half a turn from which the extremes are refined.
     """
     rays = _Rays(products, pairs, pitch_um, _LEAST_PAIRS * samples)
-    angles = np.linspace(0.0, math.pi, _AZIMUTHS + 1) if min(products.shape) > 1 else np.zeros(1)
+    angles = np.linspace(0.0, math.pi, azimuths + 1) if min(products.shape) > 1 else np.zeros(1)
     if products.shape[1] == 1:
         angles = np.full(1, math.pi / 2.0)
     lengths, crosses = rays.lengths(angles)
@@ -132,12 +136,12 @@ def decay_of(
         slowest, slowest_angle, closes = _extreme(rays, slowest_angle, step, sign=1.0)
         is_closed = is_closed and closes
     dy, dx = pitch_um
-    azimuths = np.arctan2(dy * np.sin(angles), dx * np.cos(angles))
+    directions = np.arctan2(dy * np.sin(angles), dx * np.cos(angles))
     if crosses.all():
         azimuth = math.atan2(dy * math.sin(slowest_angle), dx * math.cos(slowest_angle))
     else:
         # Azimuths without an end are on both sides of the lay. They are the same after half a turn.
-        azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * azimuths[~crosses]))))
+        azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * directions[~crosses]))))
     return Decay(fastest, slowest, math.degrees(azimuth) % 180.0, is_closed, extents)
 
 
@@ -168,6 +172,7 @@ class _Rays:
         self._pitch = pitch_um
         self._centre = np.array([n // 2 for n in products.shape], dtype=np.float64)
         self._usable = pairs >= max(least, 1.0)
+        self._has_gaps = not self._usable.all()
         zero = tuple(n // 2 for n in products.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(self._usable, products / pairs, 0.0) / (products[zero] / pairs[zero])
@@ -210,17 +215,20 @@ class _Rays:
         """Interpolate at lags, shape (2, …): values, and whether all samples around are usable."""
         from scipy import ndimage
 
+        # Lags on a sample have no neighbour but for rounding.
+        roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
         places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
-        inside = np.ones(lags.shape[1:], dtype=bool)
-        lower, upper = [], []
+        usable = np.ones(lags.shape[1:], dtype=bool)
         for axis, n in enumerate(self._usable.shape):
-            inside &= (places[axis] > -1e-9) & (places[axis] < n - 1 + 1e-9)
-            lower.append(np.clip(np.floor(places[axis] + 1e-9).astype(np.intp), 0, n - 1))
-            upper.append(np.clip(np.ceil(places[axis] - 1e-9).astype(np.intp), 0, n - 1))
-        usable = inside.copy()
-        for row in (lower[0], upper[0]):
-            for column in (lower[1], upper[1]):
-                usable &= self._usable[row, column]
+            usable &= (places[axis] > -1e-9) & (places[axis] < n - 1 + 1e-9)
+        if self._has_gaps:
+            ends = [
+                [np.clip(whole(place + shift).astype(np.intp), 0, n - 1) for whole, shift in roundings]
+                for place, n in zip(places, self._usable.shape, strict=True)
+            ]
+            for row in ends[0]:
+                for column in ends[1]:
+                    usable &= self._usable[row, column]
         if min(self._usable.shape) > 1:
             values = ndimage.map_coordinates(self._spline, places, order=3, mode="mirror", prefilter=False)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
     edges = [
         np.linspace(0.0, n, count + 1).round().astype(int).tolist() for n, count in zip(shape, counts, strict=True)
     ]
-    rows, columns = ([slice(low, high) for low, high in zip(ends, ends[1:], strict=False)] for ends in edges)
+    rows, columns = ([slice(low, high) for low, high in itertools.pairwise(ends)] for ends in edges)
     return [(row, column) for row in rows for column in columns]
 
 

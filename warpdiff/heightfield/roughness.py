@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core.table import Table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
 from warpdiff.heightfield import autocorrelation
@@ -125,6 +126,24 @@ class Roughness:
 
     def __str__(self) -> str:
         return "\n".join(f"{parameter.name:<4} {parameter}" for parameter in self.parameters)
+
+    def table(self) -> Table:
+        """Return a table with a row per parameter; NaN where there is no value or no error.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> wd.gratings.sinusoidal(2.0, 0.1).roughness().table()["parameter"].tolist()
+            ['Sa', 'Sq', 'Sdq', 'Sdr', 'Sal', 'Str']
+        """
+        numbers = {
+            name: [math.nan if value is None else value for value in values]
+            for name, values in (
+                ("value", [parameter.value for parameter in self]),
+                ("standard_error", [parameter.standard_error for parameter in self]),
+            )
+        }
+        texts = {name: [getattr(parameter, name) for parameter in self] for name in ("unit", "meaning", "reason")}
+        return Table({"parameter": [parameter.name for parameter in self], **numbers, **texts})
 
 
 def with_error(value: float, standard_error: float) -> str:
@@ -332,7 +351,7 @@ def _decays(
     without = [
         autocorrelation.decay_of(
             products.sum(axis=0) - products[k], pairs.sum(axis=0) - pairs[k], pitch_um,
-            float(samples.sum() - samples[k]),
+            float(samples.sum() - samples[k]), autocorrelation.AZIMUTHS_OF_PART,
         )
         for k in range(len(blocks) if len(blocks) >= _LEAST_BLOCKS else 0)
     ]  # fmt: skip
