@@ -33,8 +33,10 @@ if TYPE_CHECKING:
     from warpdiff.baked.bake_spectrum import bake_spectrum
     from warpdiff.baked.lobe_table import BakedLobes
     from warpdiff.baked.spectrum_table import BakedSpectrum
+    from warpdiff.core.angles import direction
     from warpdiff.core.table import Table
     from warpdiff.core.wording import ToleranceError, WarpdiffWarning
+    from warpdiff.evaluate.order_angles import order_angles
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
     from warpdiff.evaluate.reflectance import (
         brdf,
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
     )
     from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
     from warpdiff.heightfield.field import HeightField
-    from warpdiff.heightfield.periods import Period
+    from warpdiff.heightfield.periods import Period, Periods
     from warpdiff.image.comparison import Comparison, compare
     from warpdiff.image.display_transform import to_srgb
     from warpdiff.image.image import Image
@@ -74,11 +76,12 @@ if not Path(__path__[0], "kernels").is_dir():
 
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
-    "Image", "Material", "OrderEfficiencies", "Period", "Plan", "PointLight", "ReflectanceSpectra", "Renderer",
-    "Report", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake", "bake_spectrum",
-    "brdf", "camera_path", "compare", "datasets", "export_html", "gratings", "light_sweep", "meshes",
-    "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map", "reflectance_spectra",
-    "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "to_srgb", "turntable",
+    "Image", "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra",
+    "Renderer", "Report", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
+    "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
+    "light_sweep", "meshes", "order_angles", "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map",
+    "reflectance_spectra", "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "to_srgb",
+    "turntable",
 ]  # fmt: skip
 
 _MODULES = {
@@ -90,7 +93,8 @@ _MODULES = {
         "brdf", "reflectance_map", "reflectance", "reflectance_spectra", "spectral_reflectance",
     ),
     "evaluate.reflectance_spectra": ("ReflectanceSpectra",), "core.table": ("Table",),
-    "heightfield.field": ("HeightField",), "heightfield.periods": ("Period",), "image.image": ("Image",),
+    "core.angles": ("direction",), "evaluate.order_angles": ("order_angles",),
+    "heightfield.field": ("HeightField",), "heightfield.periods": ("Period", "Periods"), "image.image": ("Image",),
     "image.display_transform": ("to_srgb",), "image.comparison": ("Comparison", "compare"),
     "image.report": ("Report",),
     "lights.environment": ("Environment",), "lights.directional": ("DirectionalLight",),

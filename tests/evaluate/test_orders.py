@@ -157,7 +157,9 @@ def test_orders_beyond_the_samples_are_reported():
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
-     ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
+     ({"to_light": [[0, 1]]}, ValueError, r"to_light must have shape \(3,\) or \(n, 3\), got \(1, 2\)"),
+     ({"to_light": [(0, 0, 1), (1, 0, 0)]}, ValueError, r"to_light must be above the horizon .z > 0., got \[\(0, 0, 1"),
+     ({"to_light": np.zeros((0, 3))}, ValueError, r"to_light must hold at least one direction, got shape \(0, 3\)"),
      ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
      ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
      ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm")],

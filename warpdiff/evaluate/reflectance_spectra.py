@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core.angles import angles_deg
 from warpdiff.core.table import Table
 
 if TYPE_CHECKING:
@@ -14,10 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-
-# Sine of the angle from the normal below which a direction has the azimuth 0. Limit: rounding of unit vectors.
-_LEAST_SINE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +90,3 @@ class ReflectanceSpectra:
             'spectrum.csv'
         """
         return self.table().save(path)
-
-
-def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the angles θ from the normal and φ from the x axis of unit vectors (..., 3) [degrees]; NaN stays NaN."""
-    x, y, z = np.moveaxis(directions, -1, 0)
-    # Added zeros turn −0 into 0.
-    phi = np.degrees(np.arctan2(y + 0.0, x + 0.0))
-    return np.degrees(np.arctan2(np.hypot(x, y), z)), np.where(np.hypot(x, y) < _LEAST_SINE, 0.0, phi)

@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Ge
 
 from warpdiff.core import validation
+from warpdiff.core.angles import signed_angles_deg
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 # Largest luminance of a coloured line on white, whose luminance is 1.
 _LINE_LUMINANCE = 0.3
-Against = Literal["wavelength", "angle"]
+Against = Literal["wavelength", "angle", "incidence"]
 
 
 @checked
@@ -32,14 +33,16 @@ def orders(
     efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
     count: Annotated[int, Ge(1)] = 7, title: str | None = None,
 ) -> Axes:  # fmt: skip
-    """Plot the efficiencies of diffraction orders against the wavelength or against the view angle.
+    """Plot the efficiencies of diffraction orders against the wavelength, the view angle or the incidence.
 
     Args:
         efficiencies: Result of :func:`warpdiff.order_efficiencies`.
         ax: Axes to draw into; None makes a figure.
         against: ``"wavelength"`` draws a line per order. ``"angle"`` draws each order at the angle at which it leaves
-            the surface, with a colour per wavelength. None is ``"wavelength"`` for more than one wavelength.
-        count: Number of orders that are drawn against the wavelength, the strongest ones; at least 1.
+            the surface, with a colour per wavelength. ``"incidence"`` draws a line per order over the angle of the
+            light, for several lights. None is ``"incidence"`` for several lights, otherwise ``"wavelength"`` for
+            several wavelengths.
+        count: Number of orders that are drawn as lines, the strongest ones; at least 1.
         title: Title; None states what is drawn.
 
     Returns:
@@ -47,6 +50,7 @@ def orders(
 
     Raises:
         ImportError: matplotlib is not installed.
+        ValueError: The plot requires one light, or several lights and one wavelength.
 
     Examples:
         >>> import warpdiff as wd
@@ -56,11 +60,25 @@ def orders(
         >>> axes.get_xlabel()
         'wavelength [nm]'
     """
+    has_lights = efficiencies.to_light.ndim > 1
     if against is None:
-        against = "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
+        against = "incidence" if has_lights else "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
+    if has_lights != (against == "incidence"):
+        number, shape = ("one light", "(3,)") if has_lights else ("several lights", "(k, 3)")
+        raise ArgumentValueError(
+            f"{ref('against', against)} requires the efficiencies for {number}, got those for "
+            f"{len(efficiencies.to_light) if has_lights else 'one'}: compute them with {ref('to_light')} of shape {shape}"
+        )
+    if against == "incidence" and len(efficiencies.wavelengths_nm) > 1:
+        raise ArgumentValueError(
+            f"{ref('against', against)} requires one wavelength, got {len(efficiencies.wavelengths_nm)}: compute the "
+            "efficiencies for one wavelength"
+        )
     ax = axes_for(ax, width=6.4, height=4.0)
     if against == "wavelength":
         text = _draw_over_wavelengths(ax, efficiencies, count)
+    elif against == "incidence":
+        text = _draw_over_incidence(ax, efficiencies, count)
     else:
         text = _draw_over_angles(ax, efficiencies)
     ax.set_ylabel("efficiency [% of the incident power]")
@@ -156,22 +174,52 @@ def _add_colours(ax: Axes) -> None:
 
 def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> str:
     """Draw a line per order, the strongest ones; return the title."""
-    strongest = np.argsort(-result.efficiencies.max(axis=0), kind="stable")[:count]
-    wavelengths = np.argsort(result.wavelengths_nm)
+    _draw_lines(ax, result, result.wavelengths_nm, result.efficiencies, result.to_view[..., 0], count)
+    ax.set_xlabel("wavelength [nm]")
+    _add_colours(ax)
+    return f"Efficiency of the orders{_of_all(result, count)}"
+
+
+def _draw_over_incidence(ax: Axes, result: OrderEfficiencies, count: int) -> str:
+    """Draw a line per order over the angle of the light, the strongest ones; return the title."""
+    angles = signed_angles_deg(result.to_light)
+    _draw_lines(ax, result, angles, result.efficiencies[:, 0], result.to_view[:, 0, :, 0], count)
+    ax.set_xlabel("angle of the light from the normal [°], negative towards −x")
+    return f"Efficiency of the orders at {result.wavelengths_nm[0]:g} nm{_of_all(result, count)}"
+
+
+def _draw_lines(
+    ax: Axes, result: OrderEfficiencies, positions: NDArray[np.float64], efficiencies: NDArray[np.float64],
+    components: NDArray[np.float64], count: int,
+) -> None:  # fmt: skip
+    """Draw a line per order, the strongest ones, with a legend.
+
+    Args:
+        ax: Axes.
+        result: Result with the names of the orders.
+        positions: Wavelengths or angles, shape (m,).
+        efficiencies: Efficiencies of n orders, shape (m, n).
+        components: Component of the direction of each order, shape (m, n); NaN where an order is evanescent.
+        count: Number of lines.
+    """
+    strongest = np.argsort(-efficiencies.max(axis=0), kind="stable")[:count]
+    order = np.argsort(positions)
+    values = 100.0 * np.where(np.isnan(components), np.nan, efficiencies)
     # The legend lists the orders in their own order, not by strength.
     for index, column in enumerate(sorted(strongest.tolist())):
-        values = np.where(np.isnan(result.to_view[:, column, 0]), np.nan, result.efficiencies[:, column])
+        marker = "o" if len(order) < 3 else None
         ax.plot(
-            result.wavelengths_nm[wavelengths], 100.0 * values[wavelengths], label=_name(result, column),
-            marker="o" if len(wavelengths) < 3 else None, **line_style(index),
-        )  # fmt: skip
-    ax.set_xlabel("wavelength [nm]")
+            positions[order], values[order, column], label=_name(result, column), marker=marker, **line_style(index)
+        )
     ax.margins(x=0.0)
-    _add_colours(ax)
     kind = "order (y, x)" if result.orders.any(axis=0).all() else "order"
     ax.legend(title=kind, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def _of_all(result: OrderEfficiencies, count: int) -> str:
+    """Return words of a title that state how many orders are drawn."""
     total = len(result.orders)
-    return "Efficiency of the orders" + (f", the {count} strongest of {total}" if total > count else "")
+    return f", the {count} strongest of {total}" if total > count else ""
 
 
 def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
@@ -210,13 +258,6 @@ def _name(result: OrderEfficiencies, column: int) -> str:
     if both.all():
         return f"({m_y}, {m_x})".replace("-", "−")
     return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"
-
-
-def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles of unit vectors (n, 3) from the normal [degrees], negative towards −x, or −y where x is 0."""
-    x, y = directions[:, 0], directions[:, 1]
-    sign = np.where((x < -1e-12) | ((np.abs(x) <= 1e-12) & (y < 0.0)), -1.0, 1.0)
-    return np.asarray(sign * np.degrees(np.arctan2(np.hypot(x, y), directions[:, 2])))
 
 
 def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
