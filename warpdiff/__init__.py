@@ -26,6 +26,7 @@ from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf
+    from warpdiff.apps.report.scan_report import ScanReport, report
     from warpdiff.apps.sequences.sequence import sequence
     from warpdiff.apps.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.apps.web_page.export_html import export_html
@@ -77,10 +78,10 @@ if not Path(__path__[0], "kernels").is_dir():
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
     "Image", "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra",
-    "Renderer", "Report", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
+    "Renderer", "Report", "ScanReport", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
     "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
     "light_sweep", "meshes", "order_angles", "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map",
-    "reflectance_spectra", "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "to_srgb",
+    "reflectance_spectra", "register_mitsuba_bsdf", "report", "sequence", "shade", "spectral_reflectance", "to_srgb",
     "turntable",
 ]  # fmt: skip
 
@@ -102,7 +103,7 @@ _MODULES = {
     "planner.strategy": ("plan",), "request.plan": ("Plan",), "render.shade": ("shade",),
     "render.renderer": ("Renderer",), "scene.camera": ("View",), "apps.sequences.sequence": ("sequence",),
     "apps.sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
-    "apps.web_page.export_html": ("export_html",),
+    "apps.report.scan_report": ("ScanReport", "report"), "apps.web_page.export_html": ("export_html",),
 }  # fmt: skip
 _ALIASES = {"datasets": "datasets", "plot": "plot", "gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -1,0 +1,201 @@
+"""Pictures of a report as data URIs: maps as PNG, curves as SVG, drawn by ``warpdiff.plot``."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from warpdiff import plot
+from warpdiff.apps.report.report_data import ANGLES_DEG
+from warpdiff.core.wording import marked
+from warpdiff.heightfield.field import HeightField
+from warpdiff.plot.axes import clean_grid, line_style
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from warpdiff.apps.report.measured_curve import CurveComparison
+    from warpdiff.apps.report.report_data import ReportData
+
+# Resolution of PNG pictures [dots per inch]. Limit: a page stays below a few megabytes. If doubled, four times as large.
+_DPI = 150
+# Number of samples along an axis above which a map is thinned. Limit: more are not visible at this resolution.
+_MOST_DRAWN = 1400
+# Width of curves, and of maps [inches].
+_WIDE, _SQUARE = 7.2, 5.4
+# Angles between which the direction of a wave is nearer to y than to x [degrees].
+_NEARER_TO_Y_DEG = 45.0
+
+
+class Figure(NamedTuple):
+    """Picture of a page.
+
+    Attributes:
+        name: Name of the result that it shows.
+        uri: Picture as a data URI.
+        alt: Description of the picture, for readers who cannot see it.
+        caption: Caption.
+        is_wide: Whether it takes the whole width of the page.
+    """
+
+    name: str
+    uri: str
+    alt: str
+    caption: str
+    is_wide: bool = True
+
+
+def check_matplotlib() -> None:
+    """Raise an error if matplotlib is not installed, before anything is computed."""
+    try:
+        import matplotlib as mpl  # noqa: F401
+    except ImportError as error:
+        raise marked(
+            ImportError, f"a report requires matplotlib, which is not installed: pip install 'warpdiff[plot]' ({error})"
+        ) from error
+
+
+def figures_of(data: ReportData) -> Iterator[Figure]:
+    """Draw the pictures of all results that were found."""
+    yield _surface(data)
+    if data.periods is not None:
+        yield _spectrum(data)
+    if data.efficiencies is not None:
+        yield _orders(data)
+    if data.colours:
+        yield _colours(data)
+    if data.map is not None:
+        yield _map(data)
+    if data.comparison is not None:
+        yield _comparison(data, data.comparison)
+
+
+def _drawn(
+    kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], None], *, rows: int = 1,
+    ratios: tuple[float, ...] | None = None,
+) -> str:  # fmt: skip
+    """Draw into new axes and return the picture as a data URI; the axes are those of ``Figure.subplots``."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure as Canvas
+
+    # A figure that pyplot does not know changes no settings of the caller. The salt makes the ids of SVG reproducible.
+    style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
+    with mpl.rc_context(style):
+        canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained")
+        draw(canvas.subplots(rows, 1, height_ratios=ratios))
+        stream = io.BytesIO()
+        metadata = {"Date": None} if kind == "svg" else {"Software": None}
+        canvas.savefig(stream, format=kind, metadata=metadata)
+    mime = "image/png" if kind == "png" else "image/svg+xml"
+    return f"data:{mime};base64,{base64.b64encode(stream.getvalue()).decode()}"
+
+
+def _thinned(heightfield: HeightField) -> HeightField:
+    """Return a field of fewer samples for a map."""
+    steps = [-(-n // _MOST_DRAWN) for n in heightfield.shape]
+    if max(steps) == 1:
+        return heightfield
+    heights = heightfield.heights_um[:: steps[0], :: steps[1]]
+    (dy, dx) = heightfield.pitch_um
+    return HeightField.of_known_scale(heights, (dy * steps[0], dx * steps[1]))
+
+
+def _surface(data: ReportData) -> Figure:
+    field = data.request.heightfield
+    ny, nx = field.shape
+    direction = data.periods[0].direction_deg if data.periods else 0.0
+    along: Literal["x", "y"] = "y" if nx == 1 or (ny > 1 and abs(direction) > _NEARER_TO_Y_DEG) else "x"
+    ratio = min(max(field.size_um[0] / field.size_um[1], 0.3), 1.4) if min(ny, nx) > 1 else 0.3
+    height = 0.82 * _SQUARE * ratio
+
+    def draw(axes: Any) -> None:
+        plot.height_map(_thinned(field), ax=axes[0])
+        plot.profile(field, ax=axes[1], along=along)
+
+    uri = _drawn("png", _SQUARE + 0.8, height + 2.9, draw, rows=2, ratios=(height, 1.9))
+    caption = f"Heights as given, and a profile along {along}. Row 0 of the field is at y = 0, at the bottom."
+    return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=False)
+
+
+def _spectrum(data: ReportData) -> Figure:
+    part = data.part
+    is_plane = min(part.shape) > 1
+    uri = _drawn(
+        "png" if is_plane else "svg", _SQUARE + 0.8 if is_plane else _WIDE, _SQUARE if is_plane else 3.3,
+        lambda ax: plot.power_spectrum(part, ax=ax),
+    )  # fmt: skip
+    caption = "Power spectral density of the levelled heights with a Hann window." + (
+        " Marks are the periods of the table, at their frequency and at the opposite one." if data.periods else ""
+    )
+    return Figure("periods", uri, "Power spectrum of the heights", caption, is_wide=not is_plane)
+
+
+def _orders(data: ReportData) -> Figure:
+    efficiencies = data.efficiencies
+    assert efficiencies is not None
+    uri = _drawn("svg", _WIDE, 3.4, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", title=""))
+    caption = (
+        "Efficiencies of the orders of the field as one period of a grating, at their angles."
+        if data.is_cell or not data.periods
+        else f"Efficiencies of the orders of the strongest period, {data.periods[0].period_um:.4g} µm, at their angles."
+    )
+    return Figure("orders", uri, "Efficiencies of the orders against their angles", caption)
+
+
+def _colours(data: ReportData) -> Figure:
+    def draw(axes: Any) -> None:
+        for ax, (sigma, xyz) in zip(np.atleast_1d(axes), data.colours.items(), strict=True):
+            plot.colour_strip(
+                xyz, data.to_light, angles_deg=ANGLES_DEG, azimuth_deg=data.azimuth_deg, ax=ax,
+                title=f"coherence window σ = {sigma:g} µm",
+            )  # fmt: skip
+
+    count = len(data.colours)
+    uri = _drawn("png", _WIDE, 1.35 * count + 0.2, draw, rows=count)
+    caption = (
+        f"Colour against the view angle in the plane at the azimuth {data.azimuth_deg:.3g}°, for coherence windows of "
+        "different size. The exposure of each strip is automatic, so that strips show hues and not their brightness."
+    )
+    return Figure("colours", uri, "Colours against the view angle", caption)
+
+
+def _map(data: ReportData) -> Figure:
+    uri = _drawn(
+        "png", _SQUARE, _SQUARE, lambda ax: plot.reflectance_map(data.map, data.to_light, ax=ax, title="")
+    )  # fmt: skip
+    caption = (
+        f"Colour of the reflectance in all view directions, for a light at {data.light_deg:.3g}° from the normal. The "
+        "centre is the normal of the surface, and the rim is the horizon."
+    )
+    return Figure("map", uri, "Colours of the reflectance over the hemisphere", caption, is_wide=False)
+
+
+def _comparison(data: ReportData, comparison: CurveComparison) -> Figure:
+    measured = comparison.measured
+    is_spectrum = measured.against == "wavelength_nm"
+    scaled = comparison.scale * comparison.computed
+
+    def draw(ax: Any) -> None:
+        if is_spectrum:
+            plot.spectra(measured.positions, scaled, ax=ax, labels=["computed, scaled"], title="")
+        else:
+            ax.plot(measured.positions, scaled, label="computed, scaled", **line_style(0))
+            ax.set_xlabel("view angle from the normal [°]")
+            ax.margins(x=0.0)
+            clean_grid(ax)
+        style = {"fmt": "o", "color": line_style(1)["color"], "markersize": 3.5, "elinewidth": 1.0}
+        ax.errorbar(measured.positions, measured.values, measured.errors, label="measured", **style)
+        ax.set_ylabel(measured.name.replace("_", " "))
+        ax.set_ylim(bottom=min(0.0, float(np.min(measured.values))), top=None)
+        ax.autoscale(axis="y")
+        ax.legend(frameon=False)
+
+    uri = _drawn("svg", _WIDE, 3.6, draw)
+    caption = (
+        f"Measured values of {measured.path.name}, and the computed {comparison.what}, multiplied by the factor of the "
+        "table."
+    )
+    return Figure("comparison", uri, "Measured and computed curve", caption)
