@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Largest luminance of a coloured line on white, whose luminance is 1.
 _LINE_LUMINANCE = 0.3
+# Height of the band with the colours of the wavelengths, relative to the plot, and its number of colours.
+_BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
 Against = Literal["wavelength", "angle", "incidence"]
 
 
@@ -66,8 +68,8 @@ def orders(
     if has_lights != (against == "incidence"):
         number, shape = ("one light", "(3,)") if has_lights else ("several lights", "(k, 3)")
         raise ArgumentValueError(
-            f"{ref('against', against)} requires the efficiencies for {number}, got those for "
-            f"{len(efficiencies.to_light) if has_lights else 'one'}: compute them with {ref('to_light')} of shape {shape}"
+            f"{ref('against', against)} requires the efficiencies for {number}, got an array of shape "
+            f"{efficiencies.efficiencies.shape}: compute them with {ref('to_light')} of shape {shape}"
         )
     if against == "incidence" and len(efficiencies.wavelengths_nm) > 1:
         raise ArgumentValueError(
@@ -160,16 +162,22 @@ def spectra(
 
 def _add_colours(ax: Axes) -> None:
     """Add a band with the colours of the wavelengths at the lower edge of a plot over wavelengths."""
-    low, high = ax.get_xlim()
-    wavelengths = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1.0)
-    xyz = colorimetry.colour_products("D65")
+    (low, high), ends = ax.get_xlim(), ax.get_ylim()
+    first, last = max(low, colorimetry.LAMBDA_MIN_NM), min(high, colorimetry.LAMBDA_MAX_NM)
+    if first >= last:
+        return
+    wavelengths = np.linspace(first, last, _BAND_COLOURS)
+    products = colorimetry.colour_products("D65")
+    xyz = np.stack([np.interp(wavelengths, colorimetry.VISIBLE_NM, column) for column in products.T], axis=1)
     # Bright enough for yellow and green; the ends of the visible range fade to black.
-    colours = to_srgb(xyz / xyz[:, 1].max(), "colorimetric", exposure=0.75)
-    edges = np.concatenate([wavelengths - 0.5, wavelengths[-1:] + 0.5])
-    ax.pcolormesh(
-        edges, [-0.035, 0.0], colours[None], transform=ax.get_xaxis_transform(), clip_on=False, rasterized=True,
+    colours = to_srgb(xyz / products[:, 1].max(), "colorimetric", exposure=0.75)
+    ax.imshow(
+        colours[None], extent=(first, last, -_BAND_HEIGHT, 0.0), transform=ax.get_xaxis_transform(), aspect="auto",
+        clip_on=False, interpolation="bilinear", zorder=3,
     )  # fmt: skip
     ax.set_xlim(low, high)
+    ax.set_ylim(ends)
+    ax.tick_params(axis="x", length=0.0, pad=10.0)
 
 
 def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> str:

@@ -82,7 +82,7 @@ def height_map(
     is_band = min(ny, nx) == 1 < max(ny, nx)
     extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
     width, height = map_size(extent_y, extent_x)
-    below = 0.0 if line is None else (_PROFILE + _GAP) * width
+    below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
     picture = ax.imshow(
         factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
@@ -222,6 +222,9 @@ def _draw_plane(
     shares = np.cumsum(density.ravel()[order])
     limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
     limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
+    if not limit > 0.0:
+        # The spectrum of a flat field has no power, and is drawn up to its ends.
+        limit = float(radius[order][-1])
     shown = density.ravel()[radius <= limit]
     most = max(float(shown.max()), _LEAST_POWER)
     least = min(max(float(np.quantile(shown, _DARKEST)), _LEAST_POWER), _POWER_RANGE * most)
@@ -325,6 +328,4 @@ def _with_grey(cmap: str) -> Any:
 
     if cmap not in mpl.colormaps:
         raise ArgumentValueError(f"{ref('cmap')} must be the name of a colour map of matplotlib, got {cmap!r}")
-    colours = mpl.colormaps[cmap].copy()
-    colours.set_bad(MISSING)
-    return colours
+    return mpl.colormaps[cmap].with_extremes(bad=MISSING)
