@@ -158,9 +158,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data = ReportData(request, part, np.array([0.0, 0.0, 1.0]))
     data.periods = data.attempt("periods", part.periods)
     if data.periods is not None and not data.periods:
-        data.reasons["periods"] = (
-            "no wave repeats at least three times in this field and stands out from its roughness"
-        )
+        data.reasons["periods"] = "no wave repeats at least three times in this field and stands out from its roughness"
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
     # A plane fitted to a single period of a grating is a part of it.
@@ -227,8 +225,11 @@ def _optical(part: HeightField) -> HeightField:
 
 def _set_geometry(data: ReportData) -> None:
     """Set the light and the plane of the view angles; by default the plane that contains the strongest wave vector."""
-    # A direction of −90° is the same as 90°.
-    azimuth = data.periods[0].direction_deg if data.periods else 0.0 if data.part.shape[1] > 1 else 90.0
+    azimuth = 0.0 if data.part.shape[1] > 1 else 90.0
+    if data.periods:
+        # Rounded as it is printed; the wave vector is not known better. −90° is the same plane as 90°.
+        azimuth = round(data.periods[0].direction_deg, 1) + 0.0
+        azimuth = 90.0 if azimuth == -90.0 else azimuth
     light = data.request.to_light
     if light is None:
         data.to_light, data.azimuth_deg = direction(DEFAULT_INCIDENCE_DEG, azimuth), azimuth
@@ -254,7 +255,8 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     result = order_efficiencies(optical, light, wavelengths, **material)
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     # The error of a verdict is relative to the power that a flat surface reflects.
-    model = result.verdict.error * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
+    errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
+    model = np.array(errors) * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
     if data.periods:
         data.orders, data.efficiencies = _of_periods(data, result, model)
         return

@@ -61,7 +61,7 @@ def check_matplotlib() -> None:
 def figures_of(data: ReportData) -> Iterator[Figure]:
     """Draw the pictures of all results that were found."""
     yield _surface(data)
-    if data.periods is not None:
+    if data.periods is not None and not data.is_cell:
         yield _spectrum(data)
     if data.efficiencies is not None:
         yield _orders(data)
@@ -74,9 +74,8 @@ def figures_of(data: ReportData) -> Iterator[Figure]:
 
 
 def _drawn(
-    kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], None], *, rows: int = 1,
-    ratios: tuple[float, ...] | None = None,
-) -> str:  # fmt: skip
+    kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], None], *, rows: int = 1
+) -> str:
     """Draw into new axes and return the picture as a data URI; the axes are those of ``Figure.subplots``."""
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
@@ -85,10 +84,10 @@ def _drawn(
     style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
     with mpl.rc_context(style):
         canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained")
-        draw(canvas.subplots(rows, 1, height_ratios=ratios))
+        draw(canvas.subplots(rows, 1))
         stream = io.BytesIO()
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
-        canvas.savefig(stream, format=kind, metadata=metadata)
+        canvas.savefig(stream, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.05)
     mime = "image/png" if kind == "png" else "image/svg+xml"
     return f"data:{mime};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
@@ -108,16 +107,25 @@ def _surface(data: ReportData) -> Figure:
     ny, nx = field.shape
     direction = data.periods[0].direction_deg if data.periods else 0.0
     along: Literal["x", "y"] = "y" if nx == 1 or (ny > 1 and abs(direction) > _NEARER_TO_Y_DEG) else "x"
-    ratio = min(max(field.size_um[0] / field.size_um[1], 0.3), 1.4) if min(ny, nx) > 1 else 0.3
-    height = 0.82 * _SQUARE * ratio
+    profile = along if min(ny, nx) > 1 else None
+    # A field that is constant along an axis is its profile.
+    uri = (
+        _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
+        if profile is None
+        else _drawn("png", *_map_size(field), lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile))
+    )
+    caption = "Heights as given" + (
+        f", constant along {'y' if along == 'x' else 'x'}."
+        if profile is None
+        else f", and a profile along {along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
+    )
+    return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=profile is None)
 
-    def draw(axes: Any) -> None:
-        plot.height_map(_thinned(field), ax=axes[0])
-        plot.profile(field, ax=axes[1], along=along)
 
-    uri = _drawn("png", _SQUARE + 0.8, height + 2.9, draw, rows=2, ratios=(height, 1.9))
-    caption = f"Heights as given, and a profile along {along}. Row 0 of the field is at y = 0, at the bottom."
-    return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=False)
+def _map_size(field: HeightField) -> tuple[float, float]:
+    """Return the size of a figure for the map of a field [inches]. Its margins are cut off, and its width is fixed."""
+    ratio = min(max(field.size_um[0] / field.size_um[1], 0.25), 1.5)
+    return _SQUARE + 0.4, 0.85 * _SQUARE * ratio + 0.6
 
 
 def _spectrum(data: ReportData) -> Figure:
@@ -136,7 +144,7 @@ def _spectrum(data: ReportData) -> Figure:
 def _orders(data: ReportData) -> Figure:
     efficiencies = data.efficiencies
     assert efficiencies is not None
-    uri = _drawn("svg", _WIDE, 3.4, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", title=""))
+    uri = _drawn("svg", _WIDE, 3.0, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", title=""))
     caption = (
         "Efficiencies of the orders of the field as one period of a grating, at their angles."
         if data.is_cell or not data.periods
@@ -147,16 +155,19 @@ def _orders(data: ReportData) -> Figure:
 
 def _colours(data: ReportData) -> Figure:
     def draw(axes: Any) -> None:
-        for ax, (sigma, xyz) in zip(np.atleast_1d(axes), data.colours.items(), strict=True):
+        strips = np.atleast_1d(axes)
+        for ax, (sigma, xyz) in zip(strips, data.colours.items(), strict=True):
             plot.colour_strip(
                 xyz, data.to_light, angles_deg=ANGLES_DEG, azimuth_deg=data.azimuth_deg, ax=ax,
                 title=f"coherence window σ = {sigma:g} µm",
             )  # fmt: skip
+        for ax in strips[:-1]:
+            ax.set_xlabel("")
 
     count = len(data.colours)
-    uri = _drawn("png", _WIDE, 1.35 * count + 0.2, draw, rows=count)
+    uri = _drawn("png", _WIDE, 1.25 * count + 0.2, draw, rows=count)
     caption = (
-        f"Colour against the view angle in the plane at the azimuth {data.azimuth_deg:.3g}°, for coherence windows of "
+        f"Colour against the view angle in the plane at the azimuth {data.azimuth_deg:.1f}°, for coherence windows of "
         "different size. The exposure of each strip is automatic, so that strips show hues and not their brightness."
     )
     return Figure("colours", uri, "Colours against the view angle", caption)
@@ -167,7 +178,7 @@ def _map(data: ReportData) -> Figure:
         "png", _SQUARE, _SQUARE, lambda ax: plot.reflectance_map(data.map, data.to_light, ax=ax, title="")
     )  # fmt: skip
     caption = (
-        f"Colour of the reflectance in all view directions, for a light at {data.light_deg:.3g}° from the normal. The "
+        f"Colour of the reflectance in all view directions, for a light at {abs(data.light_deg):.3g}° from the normal. The "
         "centre is the normal of the surface, and the rim is the horizon."
     )
     return Figure("map", uri, "Colours of the reflectance over the hemisphere", caption, is_wide=False)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.report.report_data import ReportData
     from warpdiff.apps.report.report_figures import Figure
+    from warpdiff.core.table import Table
     from warpdiff.heightfield.roughness import RoughnessParameter
 
 # Number of orders of each wavelength on the page, the strongest ones. Limit: a table of a page; the file has all.
@@ -25,6 +26,8 @@ _MOST_ORDERS = 15
 _MOST_METADATA = 30
 # Length of a text from the metadata [characters]. Limit: some contain whole logs.
 _MOST_TEXT = 200
+# Component of a direction across the plane of the light below which it is in the plane: 0.06°.
+_IN_PLANE = 1e-3
 # Height below which lengths are in nanometres [µm], and nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 # Numbers of a table are aligned to the right if their column's name ends so.
@@ -103,7 +106,8 @@ def summary_text(numbers: dict[str, Any], warnings: Sequence[str]) -> str:
 
 
 def _text(value: object) -> str:
-    return html.escape(str(value))
+    """Return a text for HTML; a number and its percent sign stay on one line."""
+    return html.escape(str(value)).replace(" %", "\u00a0%").replace(" µm", "\u00a0µm").replace(" nm", "\u00a0nm")
 
 
 def _value(value: float, error: float | None) -> str:
@@ -120,7 +124,7 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[object]], caption: str 
         for row in rows
     ]
     title = f"<caption>{_text(caption)}</caption>\n" if caption else ""
-    return f'<div class="wide"><table>\n{title}<thead><tr>{head}</tr></thead>\n<tbody>\n{"".join(lines)}</tbody></table></div>\n'
+    return f'<div class="wide" tabindex="0"><table>\n{title}<thead><tr>{head}</tr></thead>\n<tbody>\n{"".join(lines)}</tbody></table></div>\n'
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
@@ -178,8 +182,8 @@ def _summary(data: ReportData) -> list[tuple[str, str]]:
 
 def _light(data: ReportData) -> str:
     return (
-        f"{data.light_deg:.3g}° from the normal, in the plane at the azimuth {data.azimuth_deg:.3g}° from the x axis, "
-        f"{data.request.illuminant}"
+        f"{data.light_deg:.3g}° from the normal, in the plane at the azimuth {data.azimuth_deg:.1f}° from the x axis; "
+        f"illuminant {data.request.illuminant}"
     )
 
 
@@ -291,7 +295,7 @@ def _theory(data: ReportData) -> str:
     worst = max(data.verdicts, key=lambda verdict: verdict.error)
     remedy = "" if worst.grade == "reliable" else f" Remedy: {worst.remedy}."
     return (
-        f'<div class="wide"><table>\n<thead>{head}</thead>\n<tbody>\n{"".join(rows)}</tbody></table></div>\n'
+        f'<div class="wide" tabindex="0"><table>\n<thead>{head}</thead>\n<tbody>\n{"".join(rows)}</tbody></table></div>\n'
         + _paragraph(
             "The expected error is that of the efficiency of an order, as a share of the power that a flat surface "
             f"reflects. Compared with rigorous solutions, 19 of 20 gratings had at most twice this error.{remedy}"
@@ -314,38 +318,19 @@ def _orders(data: ReportData) -> str:
             f"{light} Nothing repeats in this field, so that it has no orders of its own. The orders of a repeated scan "
             "depend on its size. The table has the power in the mirror direction, and all other reflected power."
         )
-    columns = table.columns
-    angles = signed_angles_deg(direction(table["view_theta_deg"], table["view_phi_deg"]))
-    rows, left = [], 0
-    for nm in np.unique(table["wavelength_nm"]):
-        own = np.flatnonzero(table["wavelength_nm"] == nm)
-        strongest = own[np.argsort(-table["efficiency"][own], kind="stable")][:_MOST_ORDERS]
-        left += len(own) - len(strongest)
-        for k in sorted(strongest, key=lambda k: (columns.get("period_um", angles * 0.0)[k] * -1.0, angles[k])):
-            row = {name: column[k] for name, column in columns.items()}
-            is_period = "order" in row
-            order = (
-                f"{row['order']:+d}"
-                if is_period
-                else f"{row['m_x']:+d}"
-                if not np.any(columns["m_y"])
-                else (f"({row['m_x']:+d}, {row['m_y']:+d})")
-            )
-            angle = with_error(angles[k], row["standard_error_deg"]) if is_period else f"{angles[k]:.3f}"
-            rows.append((
-                f"{nm:g} nm", *([f"{row['period_um']:.4g} µm"] if is_period else []),
-                "0" if order in ("+0", "(+0, +0)") else order.replace("-", "−"), f"{angle}°".replace("-", "−"),
-                f"{row['view_phi_deg']:.1f}°".replace("-", "−"),
-                f"{with_error(100.0 * row['efficiency'], 100.0 * row['model_error'])} %",
-            ))  # fmt: skip
-    is_period = "order" in columns
-    order_name = "Order" if is_period or not np.any(columns["m_y"]) else "Order (x, y)"
-    names = [
-        "Wavelength" + _RIGHT, *(["Period" + _RIGHT] if is_period else []), order_name + _RIGHT,
-        ("Angle ± standard error" if is_period else "Angle") + _RIGHT, "Azimuth" + _RIGHT,
-        "Efficiency ± error of the theory" + _RIGHT,
+    is_period, is_plane = "order" in table.columns, _is_plane(data, table)
+    kinds = [
+        "Wavelength", *(["Period"] if is_period else []),
+        "Order" if is_period or not np.any(table["m_y"]) else "Order (x, y)",
+        "Angle ± standard error" if is_period else "Angle", *([] if is_plane else ["Azimuth"]),
+        "Efficiency ± error of the theory",
     ]  # fmt: skip
-    text = f"{light} Angles are from the normal, negative towards −x. Efficiencies are relative to the incident power."
+    rows, left = _order_rows(table, is_plane=is_plane)
+    text = f"{light} Efficiencies are relative to the incident power. Angles are from the normal"
+    if is_plane:
+        text += f", in the plane of the light, negative towards {'−x' if abs(data.azimuth_deg) < 90.0 else '−y'}."
+    else:
+        text += ", and azimuths are from x towards y."
     if is_period:
         text += (
             " The error of an angle follows from that of the period. The efficiency of an order is the sum over all "
@@ -358,17 +343,63 @@ def _orders(data: ReportData) -> str:
         )
     if left:
         text += f" {left} weaker orders are in orders.csv."
-    return _table(names, rows) + _paragraph(text)
+    return _table([kind + _RIGHT for kind in kinds], rows) + _paragraph(text)
+
+
+def _is_plane(data: ReportData, table: Table) -> bool:
+    """Whether all orders are in the plane of the light."""
+    offsets = np.radians(table["view_phi_deg"] - data.azimuth_deg)
+    return bool(np.all(np.abs(np.sin(offsets) * np.sin(np.radians(table["view_theta_deg"]))) < _IN_PLANE))
+
+
+def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
+    """Return the rows of the strongest orders of each wavelength, and the number of the others."""
+    columns = table.columns
+    is_period = "order" in columns
+    angles = columns["view_theta_deg"]
+    if is_plane:
+        angles = signed_angles_deg(direction(angles, columns["view_phi_deg"]))
+    rows, left = [], 0
+    for nm in np.unique(columns["wavelength_nm"]):
+        own = np.flatnonzero(columns["wavelength_nm"] == nm)
+        strongest = own[np.argsort(-columns["efficiency"][own], kind="stable")][:_MOST_ORDERS]
+        left += len(own) - len(strongest)
+        for k in np.sort(strongest).tolist():
+            row = {name: column[k] for name, column in columns.items()}
+            angle = f"{angles[k]:.3f}°"
+            if is_period:
+                error = row["standard_error_deg"]
+                angle = f"{with_error(angles[k], error)}°" if error > 0.0 else f"{angles[k]:.1f}° (exact)"
+            rows.append([
+                f"{nm:g} nm", *([f"{row['period_um']:.4g} µm"] if is_period else []), _order_name(row, columns),
+                angle, *([] if is_plane else [f"{row['view_phi_deg']:.1f}°"]),
+                f"{with_error(100.0 * row['efficiency'], 100.0 * row['model_error'])} %",
+            ])  # fmt: skip
+    return [[cell.replace("-", "−") for cell in row] for row in rows], left
+
+
+def _order_name(row: dict[str, Any], columns: dict[str, Any]) -> str:
+    """Return the number of an order, or both numbers of a field with two axes."""
+    numbers = [row["order"]] if "order" in row else [row[name] for name in ("m_x", "m_y") if np.any(columns[name])]
+    texts = [f"{int(number):+d}" if number else "0" for number in numbers]
+    return texts[0] if len(texts) == 1 else f"({', '.join(texts)})" if texts else "0"
 
 
 def _colours(data: ReportData) -> str:
     if not data.colours:
         return ""
     tolerance = data.request.settings.get("tolerance", 0.01)
+    repeated = [f"{sigma:g}" for sigma in data.colours if 4.0 * sigma > max(data.part.size_um)]
+    text = ""
+    if repeated and not data.is_cell:
+        text = (
+            f" Windows with σ = {' and '.join(repeated)} µm are wider than the field, which is repeated there: fine "
+            "stripes around the mirror direction are orders of this repetition."
+        )
     return _paragraph(
         "A larger window resolves orders better: its lobes are narrower. View angles are positive on the side of the "
         f"light. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the directions. The error of "
-        "the theory is stated above. Differences between parts of the surface are not included."
+        f"the theory is stated above. Differences between parts of the surface are not included.{text}"
     )
 
 
@@ -418,6 +449,7 @@ def _methods(data: ReportData) -> str:
         "both triangulations. Sal and Str use the autocorrelation of measured samples, and the threshold 0.2.",
         "Standard errors are those of another field of the same surface. They contain neither the noise nor the "
         "calibration of the instrument.",
+        "Sizes and pitches are those of the file or of the user, without an error.",
         "Periods are lines of the power spectrum that noise reaches with a probability below 0.5 %.",
         "Reflectances are those of scalar diffraction by the heights as a phase grating (Stam 1999), with a Fresnel "
         "factor and, for colours, V-cavity masking. Neither polarisation nor multiple scattering is included.",
