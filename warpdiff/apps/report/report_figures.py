@@ -83,7 +83,8 @@ def _drawn(
     # A figure that pyplot does not know changes no settings of the caller. The salt makes the ids of SVG reproducible.
     style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
     with mpl.rc_context(style):
-        canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained")
+        # One plot needs no layout, because the margins are cut off.
+        canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained" if rows > 1 else None)
         draw(canvas.subplots(rows, 1))
         stream = io.BytesIO()
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
