@@ -76,9 +76,9 @@ if not Path(__path__[0], "kernels").is_dir():
     __path__.append(str(Path(__path__[0]).parent))
 
 __all__ = [
-    "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
-    "Image", "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra",
-    "Renderer", "Report", "ScanReport", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
+    "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField", "Image",
+    "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra", "Renderer",
+    "Report", "ScanReport", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
     "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
     "light_sweep", "meshes", "order_angles", "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map",
     "reflectance_spectra", "register_mitsuba_bsdf", "report", "sequence", "shade", "spectral_reflectance", "to_srgb",

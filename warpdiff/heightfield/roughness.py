@@ -42,6 +42,8 @@ _MARGIN = 1.3
 # Largest angle between the slowest decay and an axis at which blocks are stripes along this axis [degrees]. Limit: half
 # of the angle to the diagonal.
 _ALONG_AXIS_DEG = 22.5
+# Least error that is printed, relative to its value. Limit: values have at most seven digits.
+_LEAST_SHOWN = 1e-6
 
 _MEANINGS = {
     "Sa": "arithmetical mean height",
@@ -51,6 +53,8 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
+# Parameters that follow from sums over the field.
+_FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
 
@@ -147,10 +151,15 @@ class Roughness:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error, with two digits of the error and at most six of the value."""
-    least = max(standard_error, 1e-5 * abs(value), 1e-12)
-    digits = min(max(1 - math.floor(math.log10(least)), 0), 12)
-    return f"{value:.{digits}f} ± {standard_error:.{digits}f}"
+    """Return a value and its standard error, with two digits of the error; errors below a millionth are a bound."""
+    if value == standard_error == 0.0:
+        return "0 ± 0"
+    least = max(_LEAST_SHOWN * abs(value), _LEAST_SHOWN**2)
+    # A bound is rounded up to a power of ten.
+    bound = 10.0 ** math.ceil(math.log10(least))
+    is_bound = standard_error < bound
+    digits = min(max(-math.floor(math.log10(bound)) if is_bound else 1 - math.floor(math.log10(standard_error)), 0), 12)
+    return f"{value:.{digits}f} ± {f'<{bound:.{digits}f}' if is_bound else f'{standard_error:.{digits}f}'}"
 
 
 @single_threaded_blas()
@@ -168,8 +177,10 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
     blocks = blocks_of(levelled.shape, counts)
     sums = np.stack([_sums(heights, known, block, pitch) for block in blocks])
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = dict(zip(("Sa", "Sq", "Sdq", "Sdr"), _from_sums(sums.sum(axis=0)), strict=True))
-        without = dict(zip(values, _from_sums((sums.sum(axis=0) - sums).T if len(sums) > 1 else sums.T), strict=True))
+        values = {name: float(v) for name, v in zip(_FROM_SUMS, _from_sums(sums.sum(axis=0)), strict=True)}
+        without = dict(
+            zip(_FROM_SUMS, _from_sums((sums.sum(axis=0) - sums).T if len(sums) > 1 else sums.T), strict=True)
+        )
     decay, decays = _decays(heights, known, blocks, pitch, decay)
     values |= {"Sal": decay.fastest_um, "Str": decay.fastest_um / decay.slowest_um}
     without["Sal"] = np.array([part.fastest_um for part in decays])
@@ -181,9 +192,9 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
         if name in missing_values:
             parameters.append(_parameter(name, None, None, missing_values[name]))
         elif len(blocks) < _LEAST_BLOCKS or not np.isfinite(without[name]).all():
-            parameters.append(_parameter(name, float(value), None, _no_error(len(blocks))))
+            parameters.append(_parameter(name, value, None, _no_error(len(blocks))))
         else:
-            parameters.append(_parameter(name, float(value), standard_error(without[name])))
+            parameters.append(_parameter(name, value, standard_error(without[name])))
     return Roughness(tuple(parameters), order, counts, None if is_profile else decay.slowest_deg)
 
 
@@ -194,7 +205,7 @@ def _parameter(name: str, value: float | None, error: float | None, reason: str 
 def _flat(order: int) -> Roughness:
     """Return the parameters of a flat field."""
     flat = "the levelled field is flat"
-    heights = [_parameter(name, 0.0, None, flat) for name in ("Sa", "Sq", "Sdq", "Sdr")]
+    heights = [_parameter(name, 0.0, None, flat) for name in _FROM_SUMS]
     return Roughness((*heights, *(_parameter(name, None, None, flat) for name in ("Sal", "Str"))), order, (1, 1), None)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from warpdiff.core import files, validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.heightfield.readers import text_table
 from warpdiff.optics import colorimetry
 
@@ -76,7 +76,7 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
         ValueError: The file has no such columns, or fewer than three rows of numbers.
     """
     file = validation.path(path, "compare")
-    with files.naming_file(file):
+    with renaming({"path": "compare"}), files.naming_file(file):
         data = text_table.unpacked(file, _MOST_BYTES)
     if len(data) > _MOST_BYTES:
         raise _refusal(file, f"has more than {_MOST_BYTES} bytes", "give a table of one curve")

@@ -47,6 +47,10 @@ _MOST_ORDER = 20
 # Number of orders up to which a field without a repetition counts as one period of a grating. Limit: a table of a page.
 # Patches of rough surfaces have thousands.
 _MOST_CELL_ORDERS = 60
+# Angle of the light from the normal without ``to_light`` [degrees]: common in goniometers.
+DEFAULT_INCIDENCE_DEG = 30.0
+# Sine of the angle from the normal below which a light has no plane of its own. Limit: rounding of unit vectors.
+_LEAST_SINE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class ReportData:
 
     @property
     def light_deg(self) -> float:
-        """Angle of the light from the normal [degrees], positive on the side of ``azimuth_deg``."""
+        """Angle of the light from the normal [degrees], positive towards +x, or +y where x is 0."""
         return float(signed_angles_deg(self.to_light))
 
     @property
@@ -154,7 +158,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
         request: What the report is about.
         progress: Function that is called with the finished share, 0 to 1.
     """
-    part = _central_part(request.heightfield)
+    part = central_part(request.heightfield)
     data = ReportData(request, part, np.array([0.0, 0.0, 1.0]))
     data.periods = data.attempt("periods", part.periods)
     if data.periods is not None and not data.periods:
@@ -203,7 +207,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     return data
 
 
-def _central_part(heightfield: HeightField) -> HeightField:
+def central_part(heightfield: HeightField) -> HeightField:
     """Return the field, or the part in its middle if it has too many samples along an axis."""
     if max(heightfield.shape) <= MOST_SAMPLES:
         return heightfield
@@ -225,11 +229,7 @@ def _optical(part: HeightField) -> HeightField:
 
 def _set_geometry(data: ReportData) -> None:
     """Set the light and the plane of the view angles; by default the plane that contains the strongest wave vector."""
-    azimuth = 0.0 if data.part.shape[1] > 1 else 90.0
-    if data.periods:
-        # Rounded as it is printed; the wave vector is not known better. −90° is the same plane as 90°.
-        azimuth = round(data.periods[0].direction_deg, 1) + 0.0
-        azimuth = 90.0 if azimuth == -90.0 else azimuth
+    azimuth = wave_azimuth_deg(data.part)
     light = data.request.to_light
     if light is None:
         data.to_light, data.azimuth_deg = direction(DEFAULT_INCIDENCE_DEG, azimuth), azimuth
@@ -241,10 +241,20 @@ def _set_geometry(data: ReportData) -> None:
     data.azimuth_deg = azimuth
 
 
-# Angle of the light from the normal without ``to_light`` [degrees]: common in goniometers.
-DEFAULT_INCIDENCE_DEG = 30.0
-# Sine of the angle from the normal below which a light has no plane of its own. Limit: rounding of unit vectors.
-_LEAST_SINE = 1e-9
+def wave_azimuth_deg(heightfield: HeightField) -> float:
+    """Return the azimuth of the strongest wave vector [degrees], above −90 and at most 90; the x axis without one.
+
+    It is rounded to 0.1°. A field of a single column has the y axis.
+    """
+    try:
+        periods = central_part(heightfield).periods()
+    except MemoryError:
+        periods = None
+    if not periods:
+        return 0.0 if heightfield.shape[1] > 1 else 90.0
+    azimuth = round(periods[0].direction_deg, 1) + 0.0
+    # −90° is the same plane as 90°.
+    return 90.0 if azimuth == -90.0 else azimuth
 
 
 def _add_orders(data: ReportData, optical: HeightField) -> None:
@@ -258,7 +268,7 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
     model = np.array(errors) * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
     if data.periods:
-        data.orders, data.efficiencies = _of_periods(data, result, model)
+        data.orders, data.efficiencies = _of_periods(data, data.periods, result, model)
         return
     if data.is_cell:
         table = result.table()
@@ -268,21 +278,20 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     mirror = result[0, 0]
     rest = result.efficiencies.sum(axis=1) - mirror
     data.orders = Table({
-        "wavelength_nm": np.repeat(wavelengths, 2), "part": np.tile(["mirror direction", "scattered"], len(wavelengths)),
+        "wavelength_nm": np.repeat(wavelengths, 2),
+        "part": np.tile(["mirror direction", "scattered"], len(wavelengths)),
         "efficiency": np.stack([mirror, rest], axis=1).ravel(), "model_error": np.repeat(model, 2),
     })  # fmt: skip
 
 
 def _of_periods(
-    data: ReportData, result: OrderEfficiencies, model: NDArray[np.float64]
+    data: ReportData, periods: Periods, result: OrderEfficiencies, model: NDArray[np.float64]
 ) -> tuple[Table, OrderEfficiencies]:
     """Return the orders of the periods of a field, and the efficiencies of the strongest period's orders.
 
     The field has orders of its own, which are much denser. Those nearer to an order of a period than half of the
     distance of its orders are summed.
     """
-    periods = data.periods
-    assert periods
     angles = order_angles(periods, data.to_light, data.request.wavelengths_nm, most_order=_MOST_ORDER)
     numbers = np.array([(wave, m) for wave in range(len(periods)) for m in range(-_MOST_ORDER, _MOST_ORDER + 1)])
     # The mirror direction is that of all periods.
@@ -318,13 +327,12 @@ def _of_periods(
         for name, value in zip(rows, values, strict=True):
             rows[name].append(value)
     table = Table({name: np.array(values) for name, values in rows.items()})
-    return table, _drawn(table, data, result)
+    return table, _of_grating(table, periods[0].period_um, result)
 
 
-def _drawn(table: Table, data: ReportData, result: OrderEfficiencies) -> OrderEfficiencies:
-    """Return the orders of the strongest period as efficiencies of a grating."""
-    assert data.periods
-    is_own = table["period_um"] == data.periods[0].period_um
+def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> OrderEfficiencies:
+    """Return the orders of a period in a table as efficiencies of a grating along x."""
+    is_own = table["period_um"] == period_um
     orders = np.unique(table["order"][is_own]).astype(int)
     wavelengths = result.wavelengths_nm
     to_view = np.full((len(wavelengths), len(orders), 3), np.nan)

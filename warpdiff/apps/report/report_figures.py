@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.report.measured_curve import CurveComparison
     from warpdiff.apps.report.report_data import ReportData
+    from warpdiff.evaluate.orders import OrderEfficiencies
+    from warpdiff.image.image import Image
 
-# Resolution of PNG pictures [dots per inch]. Limit: a page stays below a few megabytes. If doubled, four times as large.
+# Resolution of PNG pictures [dots per inch]. Limit: a page has a few megabytes; twice the value makes four times more.
 _DPI = 150
 # Number of samples along an axis above which a map is thinned. Limit: more are not visible at this resolution.
 _MOST_DRAWN = 1400
@@ -64,17 +66,17 @@ def figures_of(data: ReportData) -> Iterator[Figure]:
     if data.periods is not None and not data.is_cell:
         yield _spectrum(data)
     if data.efficiencies is not None:
-        yield _orders(data)
+        yield _orders(data, data.efficiencies)
     if data.colours:
         yield _colours(data)
     if data.map is not None:
-        yield _map(data)
+        yield _map(data, data.map)
     if data.comparison is not None:
-        yield _comparison(data, data.comparison)
+        yield _comparison(data.comparison)
 
 
 def _drawn(
-    kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], None], *, rows: int = 1
+    kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], object], *, rows: int = 1
 ) -> str:
     """Draw into new axes and return the picture as a data URI; the axes are those of ``Figure.subplots``."""
     import matplotlib as mpl
@@ -142,9 +144,7 @@ def _spectrum(data: ReportData) -> Figure:
     return Figure("periods", uri, "Power spectrum of the heights", caption, is_wide=not is_plane)
 
 
-def _orders(data: ReportData) -> Figure:
-    efficiencies = data.efficiencies
-    assert efficiencies is not None
+def _orders(data: ReportData, efficiencies: OrderEfficiencies) -> Figure:
     uri = _drawn("svg", _WIDE, 3.0, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", title=""))
     caption = (
         "Efficiencies of the orders of the field as one period of a grating, at their angles."
@@ -174,18 +174,18 @@ def _colours(data: ReportData) -> Figure:
     return Figure("colours", uri, "Colours against the view angle", caption)
 
 
-def _map(data: ReportData) -> Figure:
+def _map(data: ReportData, image: Image) -> Figure:
     uri = _drawn(
-        "png", _SQUARE, _SQUARE, lambda ax: plot.reflectance_map(data.map, data.to_light, ax=ax, title="")
+        "png", _SQUARE, _SQUARE, lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, title="")
     )  # fmt: skip
     caption = (
-        f"Colour of the reflectance in all view directions, for a light at {abs(data.light_deg):.3g}° from the normal. The "
-        "centre is the normal of the surface, and the rim is the horizon."
+        "Colour of the reflectance in all view directions, for a light at "
+        f"{abs(data.light_deg):.3g}° from the normal. The centre is the normal of the surface, the rim the horizon."
     )
     return Figure("map", uri, "Colours of the reflectance over the hemisphere", caption, is_wide=False)
 
 
-def _comparison(data: ReportData, comparison: CurveComparison) -> Figure:
+def _comparison(comparison: CurveComparison) -> Figure:
     measured = comparison.measured
     is_spectrum = measured.against == "wavelength_nm"
     scaled = comparison.scale * comparison.computed

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import re
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.apps.report.html_parts import RIGHT, facts_table, listed, paragraph, table_of, text_of, wide
 from warpdiff.core.angles import direction, signed_angles_deg
 from warpdiff.heightfield.roughness import with_error
 
@@ -26,12 +26,12 @@ _MOST_ORDERS = 15
 _MOST_METADATA = 30
 # Length of a text from the metadata [characters]. Limit: some contain whole logs.
 _MOST_TEXT = 200
+# Azimuth of the y axis [degrees].
+_Y_DEG = 90.0
 # Component of a direction across the plane of the light below which it is in the plane: 0.06°.
 _IN_PLANE = 1e-3
 # Height below which lengths are in nanometres [µm], and nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
-# Numbers of a table are aligned to the right if their column's name ends so.
-_RIGHT = "→"
 _GRADES = {
     "reliable": "use colours and numbers",
     "qualitative": "use the positions of colours, and not their brightness",
@@ -70,16 +70,17 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
     if data.request.measured is not None:
         sections.append(("Comparison with a measurement", _comparison(data) + pictures.get("comparison", "")))
     if data.warnings:
-        sections.append(("Warnings", _list(data.warnings)))
+        sections.append(("Warnings", listed(data.warnings)))
     sections += [("Methods", _methods(data)), ("Files", _files(names))]
     body = "".join(
         f"<section>\n<h2>{n} {title}</h2>\n{text}</section>\n" for n, (title, text) in enumerate(sections, 1)
     )
     folder = resources.files("warpdiff.apps.report").joinpath("page")
     filling = {
-        "VERSION": _text(numbers["warpdiff"]), "TITLE": _text(numbers["title"]), "DATE": _text(numbers["made"][:10]),
+        "VERSION": text_of(numbers["warpdiff"]), "TITLE": text_of(numbers["title"]),
+        "DATE": text_of(numbers["made"][:10]),
         "STYLE": folder.joinpath("report.css").read_text(encoding="utf-8"),
-        "BODY": f'<section class="summary">\n{_facts(_summary(data))}</section>\n{body}',
+        "BODY": f'<section class="summary">\n{facts_table(_summary(data))}</section>\n{body}',
     }  # fmt: skip
     # All placeholders are replaced in one pass, so that a text of the user that looks like one is kept.
     template = folder.joinpath("report.html").read_text(encoding="utf-8")
@@ -89,70 +90,39 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
 def summary_text(numbers: dict[str, Any], warnings: Sequence[str]) -> str:
     """Return the main results as lines of text."""
     lines = [numbers["title"]]
-    for row in numbers.get("roughness", ()):
-        if row["parameter"] in ("Sq", "Sal") and row["value"] is not None:
-            lines.append(f"{row['parameter']:<16}{_value(row['value'], row['standard_error'])} {row['unit']}")
+    lines += [
+        f"{row['parameter']:<16}{_value(row['value'], row['standard_error'])} {row['unit']}"
+        for row in numbers.get("roughness", ())
+        if row["parameter"] in ("Sq", "Sal") and row["value"] is not None
+    ]
     periods = numbers.get("periods")
     period = _value(periods[0]["period_um"], periods[0]["standard_error_um"]) + " µm" if periods else "none found"
     lines.append(f"{'period':<16}{period}")
-    for row in numbers.get("theory", ()):
-        lines.append(f"{'scalar theory':<16}{row['grade']} at {row['wavelength_nm']:g} nm")
-    lines += [
-        f"{'not found':<16}{name}: {reason}" for name, reason in numbers["not_found"].items() if name != "periods"
-    ]
+    theory = [f"{row['grade']} at {row['wavelength_nm']:g} nm" for row in numbers.get("theory", ())]
+    lines += [f"{'scalar theory':<16}{', '.join(theory)}"] if theory else []
+    absent = {name: reason for name, reason in numbers["not_found"].items() if name != "periods"}
+    lines += [f"{'not found':<16}{name}: {reason}" for name, reason in absent.items()]
     if warnings:
         lines.append(f"{'warnings':<16}{len(warnings)}, on the page")
     return "\n".join(lines)
-
-
-def _text(value: object) -> str:
-    """Return a text for HTML; a number and its percent sign stay on one line."""
-    return html.escape(str(value)).replace(" %", "\u00a0%").replace(" µm", "\u00a0µm").replace(" nm", "\u00a0nm")
 
 
 def _value(value: float, error: float | None) -> str:
     return f"{value:.4g}" if error is None else with_error(value, error)
 
 
-def _table(names: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> str:
-    """Return a table; columns whose name ends in the mark are numbers, and those without a name are notes."""
-    kinds = ["number" if name.endswith(_RIGHT) else "" if name else "note" for name in names]
-    classes = [f' class="{kind}"' if kind else "" for kind in kinds]
-    head = "".join(f"<th{kind}>{_text(name.rstrip(_RIGHT))}</th>" for kind, name in zip(classes, names, strict=True))
-    lines = [
-        "<tr>" + "".join(f"<td{kind}>{_text(cell)}</td>" for kind, cell in zip(classes, row, strict=True)) + "</tr>\n"
-        for row in rows
-    ]
-    title = f"<caption>{_text(caption)}</caption>\n" if caption else ""
-    return f'<div class="wide" tabindex="0"><table>\n{title}<thead><tr>{head}</tr></thead>\n<tbody>\n{"".join(lines)}</tbody></table></div>\n'
-
-
-def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    """Return a table of names and HTML texts."""
-    rows = "".join(f"<tr><th>{_text(name)}</th><td>{text}</td></tr>\n" for name, text in facts)
-    return f'<table class="facts"><tbody>\n{rows}</tbody></table>\n'
-
-
-def _list(texts: Sequence[str], tag: str = "ul") -> str:
-    return f"<{tag}>\n" + "".join(f"<li>{_text(text)}</li>\n" for text in texts) + f"</{tag}>\n"
-
-
-def _paragraph(text: str) -> str:
-    return f"<p>{_text(text)}</p>\n"
-
-
 def _absent(data: ReportData, name: str) -> str:
     """Return the reason of a result that was not found; an empty text if it was."""
     if name not in data.reasons:
         return ""
-    return f'<p class="absent"><b>{_ABSENT[name]}:</b> {_text(data.reasons[name])}.</p>\n'
+    return f'<p class="absent"><b>{_ABSENT[name]}:</b> {text_of(data.reasons[name])}.</p>\n'
 
 
 def _figure(number: int, figure: Figure) -> str:
     kind = "" if figure.is_wide else ' class="narrow"'
     return (
-        f'<figure{kind}><img src="{figure.uri}" alt="{_text(figure.alt)}">\n'
-        f"<figcaption><b>Figure {number}.</b> {_text(figure.caption)}</figcaption></figure>\n"
+        f'<figure{kind}><img src="{figure.uri}" alt="{text_of(figure.alt)}">\n'
+        f"<figcaption><b>Figure {number}.</b> {text_of(figure.caption)}</figcaption></figure>\n"
     )
 
 
@@ -168,13 +138,13 @@ def _summary(data: ReportData) -> list[tuple[str, str]]:
     )]  # fmt: skip
     if data.roughness is not None:
         facts.append(
-            ("Roughness", f"Sq {_text(_shown(data.roughness['Sq']))}, Sal {_text(_shown(data.roughness['Sal']))}")
+            ("Roughness", f"Sq {text_of(_shown(data.roughness['Sq']))}, Sal {text_of(_shown(data.roughness['Sal']))}")
         )
-    facts.append(("Strongest period", _text(data.periods[0]) if data.periods else "none"))
+    facts.append(("Strongest period", text_of(data.periods[0]) if data.periods else "none"))
     if data.verdicts:
         worst = max(data.verdicts, key=lambda verdict: verdict.error)
-        facts.append(("Scalar theory", f"{_grade(worst.grade)} {_text(str(worst).partition(' ')[2])}"))
-    facts.append(("Light", _text(_light(data))))
+        facts.append(("Scalar theory", f"{_grade(worst.grade)} {text_of(str(worst).partition(' ')[2])}"))
+    facts.append(("Light", text_of(_light(data))))
     if data.warnings:
         facts.append(("Warnings", f"{len(data.warnings)}, listed below"))
     return facts
@@ -185,6 +155,11 @@ def _light(data: ReportData) -> str:
         f"{data.light_deg:.3g}° from the normal, in the plane at the azimuth {data.azimuth_deg:.1f}° from the x axis; "
         f"illuminant {data.request.illuminant}"
     )
+
+
+def _axis(data: ReportData) -> str:
+    """Return the axis that tells the sign of view angles."""
+    return "x" if data.azimuth_deg < _Y_DEG else "y"
 
 
 def _shown(parameter: RoughnessParameter) -> str:
@@ -216,24 +191,24 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
         entries = list(source["metadata"].items())
         more = [("Metadata", f"{len(entries) - _MOST_METADATA} further entries are in report.json")]
         facts = [
-            ("File", _text(source["file"] or "a topography in memory")),
-            ("Channel", _text(source["channel"] or "the only one of the file")),
+            ("File", text_of(source["file"] or "a topography in memory")),
+            ("Channel", text_of(source["channel"] or "the only one of the file")),
             ("Unit", "µm, converted from the unit of the file or as stated by the user"),
             ("Row 0 of the file", place), *facts,
-            *((_clipped(name), _text(_clipped(value))) for name, value in entries[:_MOST_METADATA]),
+            *((_clipped(name), text_of(_clipped(value))) for name, value in entries[:_MOST_METADATA]),
             *(more if len(entries) > _MOST_METADATA else []),
         ]  # fmt: skip
     history = "<h3>Cleaning</h3>\n" + (
-        _list(field.history, "ol") if field.history else _paragraph("The heights are unchanged.")
+        listed(field.history, "ol") if field.history else paragraph("The heights are unchanged.")
     )
     part = ""
     if data.is_cropped:
         ly, lx = data.part.size_um
-        part = _paragraph(
+        part = paragraph(
             f"Periods, reliability, orders and colours are those of the middle of the field, {lx:.4g} × {ly:.4g} µm, "
             "because the field is large."
         )
-    return _facts(facts) + history + part
+    return facts_table(facts) + history + part
 
 
 def _clipped(value: str) -> str:
@@ -246,8 +221,8 @@ def _roughness(data: ReportData) -> str:
         return _absent(data, "roughness")
     rows = [(p.name, p.meaning, _shown(p), p.reason) for p in roughness]
     notes = any(p.reason for p in roughness)
-    table = _table(
-        ["Parameter", "Meaning", "Value ± standard error" + _RIGHT, *([""] if notes else [])],
+    table = table_of(
+        ["Parameter", "Meaning", "Value ± standard error" + RIGHT, *([""] if notes else [])],
         rows if notes else [row[:3] for row in rows],
     )
     blocks = roughness.blocks[0] * roughness.blocks[1]
@@ -257,7 +232,7 @@ def _roughness(data: ReportData) -> str:
         text += f" Standard errors are from {blocks} parts of the field (jackknife)."
     if roughness.lay_deg is not None:
         text += f" The autocorrelation decays slowest, along the lay, at {roughness.lay_deg:.0f}° from the x axis."
-    return table + _paragraph(text)
+    return table + paragraph(text)
 
 
 def _periods(data: ReportData) -> str:
@@ -272,8 +247,8 @@ def _periods(data: ReportData) -> str:
         for k, period in enumerate(data.periods, 1)
     ]  # fmt: skip
     names = ["", "Period ± standard error", "Direction", "Amplitude", "Share of variance", "Wave"]
-    names = ["No." + _RIGHT, *(name + _RIGHT for name in names[1:5]), "Wave"]
-    return _table(names, rows) + _paragraph(
+    names = ["No." + RIGHT, *(name + RIGHT for name in names[1:5]), "Wave"]
+    return table_of(names, rows) + paragraph(
         "The direction is that of the wave vector, from x towards y. The error of a period includes its variation over "
         "the field. Directions, amplitudes and shares describe this field alone and have no error."
     )
@@ -284,8 +259,8 @@ def _theory(data: ReportData) -> str:
         return _absent(data, "verdicts")
     rows = [
         f'<tr><td class="number">{verdict.wavelength_nm:g} nm</td><td>{_grade(verdict.grade)}</td>'
-        f'<td class="number">{100.0 * min(verdict.error, 1.0):.2g} %</td><td>{_text(_GRADES[verdict.grade])}</td>'
-        f'<td class="note">{_text(verdict.explanation)}</td></tr>\n'
+        f'<td class="number">{100.0 * min(verdict.error, 1.0):.2g} %</td><td>{text_of(_GRADES[verdict.grade])}</td>'
+        f'<td class="note">{text_of(verdict.explanation)}</td></tr>\n'
         for verdict in data.verdicts
     ]
     head = (
@@ -294,12 +269,9 @@ def _theory(data: ReportData) -> str:
     )
     worst = max(data.verdicts, key=lambda verdict: verdict.error)
     remedy = "" if worst.grade == "reliable" else f" Remedy: {worst.remedy}."
-    return (
-        f'<div class="wide" tabindex="0"><table>\n<thead>{head}</thead>\n<tbody>\n{"".join(rows)}</tbody></table></div>\n'
-        + _paragraph(
-            "The expected error is that of the efficiency of an order, as a share of the power that a flat surface "
-            f"reflects. Compared with rigorous solutions, 19 of 20 gratings had at most twice this error.{remedy}"
-        )
+    return wide(f"<thead>{head}</thead>\n<tbody>\n{''.join(rows)}</tbody>") + paragraph(
+        "The expected error is that of the efficiency of an order, as a share of the power that a flat surface "
+        f"reflects. Compared with rigorous solutions, 19 of 20 gratings had at most twice this error.{remedy}"
     )
 
 
@@ -309,14 +281,14 @@ def _orders(data: ReportData) -> str:
         return _absent(data, "orders")
     light = f"The light is {_light(data)}."
     if "part" in table.columns:
-        rows = [
+        parts = [
             (f"{nm:g} nm", part, f"{with_error(100.0 * efficiency, 100.0 * error)} %")
             for nm, part, efficiency, error in table.rows
         ]
-        names = ["Wavelength" + _RIGHT, "Part", "Efficiency ± error of the theory" + _RIGHT]
-        return _table(names, rows) + _paragraph(
-            f"{light} Nothing repeats in this field, so that it has no orders of its own. The orders of a repeated scan "
-            "depend on its size. The table has the power in the mirror direction, and all other reflected power."
+        names = ["Wavelength" + RIGHT, "Part", "Efficiency ± error of the theory" + RIGHT]
+        return table_of(names, parts) + paragraph(
+            f"{light} Nothing repeats in this field, so that it has no orders of its own. The orders of a repeated "
+            "scan depend on its size. The table has the power in the mirror direction, and all other reflected power."
         )
     is_period, is_plane = "order" in table.columns, _is_plane(data, table)
     kinds = [
@@ -328,7 +300,7 @@ def _orders(data: ReportData) -> str:
     rows, left = _order_rows(table, is_plane=is_plane)
     text = f"{light} Efficiencies are relative to the incident power. Angles are from the normal"
     if is_plane:
-        text += f", in the plane of the light, negative towards {'−x' if abs(data.azimuth_deg) < 90.0 else '−y'}."
+        text += f", in the plane of the light, negative towards −{_axis(data)}."
     else:
         text += ", and azimuths are from x towards y."
     if is_period:
@@ -343,7 +315,7 @@ def _orders(data: ReportData) -> str:
         )
     if left:
         text += f" {left} weaker orders are in orders.csv."
-    return _table([kind + _RIGHT for kind in kinds], rows) + _paragraph(text)
+    return table_of([kind + RIGHT for kind in kinds], rows) + paragraph(text)
 
 
 def _is_plane(data: ReportData, table: Table) -> bool:
@@ -396,17 +368,17 @@ def _colours(data: ReportData) -> str:
             f" Windows with σ = {' and '.join(repeated)} µm are wider than the field, which is repeated there: fine "
             "stripes around the mirror direction are orders of this repetition."
         )
-    return _paragraph(
-        "A larger window resolves orders better: its lobes are narrower. View angles are positive on the side of the "
-        f"light. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the directions. The error of "
-        f"the theory is stated above. Differences between parts of the surface are not included.{text}"
+    return paragraph(
+        "A larger window resolves orders better: its lobes are narrower. View angles are positive towards "
+        f"+{_axis(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the directions. "
+        f"The error of the theory is stated above. Differences between parts of the surface are not included.{text}"
     )
 
 
 def _map(numbers: dict[str, Any]) -> str:
     if "map_error" not in numbers:
         return ""
-    return _paragraph(
+    return paragraph(
         f"The numerical error of XYZ is at most {100.0 * numbers['map_error']:.2g} % for 99 % of the directions, "
         "without the error of the theory."
     )
@@ -418,12 +390,13 @@ def _comparison(data: ReportData) -> str:
         return _absent(data, "comparison")
     measured = comparison.measured
     skipped = f", {measured.skipped} rows without a value were skipped" if measured.skipped else ""
+    count = f"{len(measured.positions)} values{skipped}"
     facts = [
         (
             "Measurement",
-            f"{_text(measured.path.name)}, column {_text(measured.name)}, {len(measured.positions)} values{skipped}",
+            f"{text_of(measured.path.name)}, column {text_of(measured.name)}, {count}",
         ),
-        ("Computed", _text(comparison.what)),
+        ("Computed", text_of(comparison.what)),
         (
             "Factor of the computed values",
             f"{with_error(comparison.scale, comparison.scale_error)} (standard error of the fit)",
@@ -436,7 +409,7 @@ def _comparison(data: ReportData) -> str:
             else "not defined: a curve is constant",
         ),
     ]
-    return _facts(facts) + _paragraph(
+    return facts_table(facts) + paragraph(
         "The factor is fitted, because the units of both curves differ. Residual and correlation describe these values "
         "alone and have no error."
         + ("" if measured.errors is not None else " The file states no errors of the measured values.")
@@ -444,21 +417,22 @@ def _comparison(data: ReportData) -> str:
 
 
 def _methods(data: ReportData) -> str:
-    return _list([
-        "Sa, Sq, Sdq, Sdr, Sal and Str follow ISO 25178-2. Sdq uses differences of neighbouring samples, Sdr the mean of "
-        "both triangulations. Sal and Str use the autocorrelation of measured samples, and the threshold 0.2.",
-        "Standard errors are those of another field of the same surface. They contain neither the noise nor the "
-        "calibration of the instrument.",
+    return listed([
+        "Sa, Sq, Sdq, Sdr, Sal and Str follow ISO 25178-2. Sdq is from differences of neighbouring samples.",
+        "Sdr is the mean of both triangulations of each cell of four samples.",
+        "Sal and Str are from the autocorrelation of the measured samples, with the threshold 0.2.",
+        "Standard errors are those of another field of the same surface, without the calibration of the instrument.",
         "Sizes and pitches are those of the file or of the user, without an error.",
         "Periods are lines of the power spectrum that noise reaches with a probability below 0.5 %.",
-        "Reflectances are those of scalar diffraction by the heights as a phase grating (Stam 1999), with a Fresnel "
-        "factor and, for colours, V-cavity masking. Neither polarisation nor multiple scattering is included.",
+        "Reflectances are those of scalar diffraction by the heights as a phase grating (Stam 1999).",
+        "A Fresnel factor and, for colours, V-cavity masking are included.",
+        "Polarisation and multiple scattering are not included.",
         f"Colours are CIE XYZ under {data.request.illuminant}, shown in sRGB by the display transform ACES 2.0.",
     ])  # fmt: skip
 
 
 def _files(names: Sequence[str]) -> str:
-    return _paragraph(
-        f"The numbers of this page, with all digits, are in these files in the same folder: {', '.join(names)}. Lengths "
-        "are in µm, wavelengths in nm, angles in degrees, and efficiencies are ratios."
+    return paragraph(
+        "The numbers of this page, with all digits, are in these files in the same folder: "
+        f"{', '.join(names)}. Lengths are in µm, wavelengths in nm, angles in degrees, and efficiencies are ratios."
     )

@@ -98,7 +98,7 @@ def report(
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
-            name. View angles are in the plane of the light and the normal, positive on the side of the light.
+            name. View angles are from the normal in the plane of the light, positive towards +x, or +y where x is 0.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         title: Title of the page; None is the name of the file of the height field.
         progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
@@ -144,7 +144,7 @@ def _direction(value: ArrayLike | None, name: str) -> NDArray[np.float64] | None
     """Return a direction above the horizon as a unit vector; None stays None."""
     if value is None:
         return None
-    unit = validation.unit_directions(validation.vector(value, name), name)[0][0]
+    unit: NDArray[np.float64] = validation.unit_directions(validation.vector(value, name), name)[0][0]
     if unit[2] <= HORIZON:
         raise ArgumentValueError(f"{ref(name)} must be above the horizon (z > 0), got {np.asarray(value).tolist()}")
     return unit
@@ -163,7 +163,8 @@ def _sigmas(value: Sequence[float]) -> tuple[float, ...]:
     sigmas = np.unique(np.atleast_1d(validation.finite_array(value, "sigmas_um", most=validation.MOST))).tolist()
     if not 1 <= len(sigmas) <= _MOST_SIGMAS or not all(sigma >= validation.LEAST for sigma in sigmas):
         raise ArgumentValueError(
-            f"{ref('sigmas_um')} must be 1 to {_MOST_SIGMAS} numbers of at least {validation.LEAST:g}, got {value!r:.60}"
+            f"{ref('sigmas_um')} must be 1 to {_MOST_SIGMAS} numbers of at least {validation.LEAST:g}, got "
+            f"{value!r:.60}"
         )
     return tuple(sigmas)
 
