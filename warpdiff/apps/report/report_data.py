@@ -124,6 +124,11 @@ class ReportData:
         return float(signed_angles_deg(self.to_light))
 
     @property
+    def is_flat(self) -> bool:
+        """Whether the levelled field is flat, so that it has no spectrum."""
+        return self.roughness is not None and self.roughness["Sq"].value == 0.0
+
+    @property
     def is_cropped(self) -> bool:
         """Whether periods and optics are those of a part of the field."""
         return self.part is not self.request.heightfield

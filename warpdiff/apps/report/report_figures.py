@@ -27,7 +27,7 @@ _DPI = 150
 # Number of samples along an axis above which a map is thinned. Limit: more are not visible at this resolution.
 _MOST_DRAWN = 1400
 # Width of curves, and of maps [inches].
-_WIDE, _SQUARE = 7.2, 5.4
+_WIDE, _SQUARE = 8.6, 5.4
 # Angles between which the direction of a wave is nearer to y than to x [degrees].
 _NEARER_TO_Y_DEG = 45.0
 
@@ -63,7 +63,7 @@ def check_matplotlib() -> None:
 def figures_of(data: ReportData) -> Iterator[Figure]:
     """Draw the pictures of all results that were found."""
     yield _surface(data)
-    if data.periods is not None and not data.is_cell:
+    if data.periods is not None and not data.is_cell and not data.is_flat:
         yield _spectrum(data)
     if data.efficiencies is not None:
         yield _orders(data, data.efficiencies)

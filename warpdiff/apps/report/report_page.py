@@ -69,8 +69,6 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
     ]
     if data.request.measured is not None:
         sections.append(("Comparison with a measurement", _comparison(data) + pictures.get("comparison", "")))
-    if data.warnings:
-        sections.append(("Warnings", listed(data.warnings)))
     sections += [("Methods", _methods(data)), ("Files", _files(names))]
     body = "".join(
         f"<section>\n<h2>{n} {title}</h2>\n{text}</section>\n" for n, (title, text) in enumerate(sections, 1)
@@ -80,7 +78,7 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
         "VERSION": text_of(numbers["warpdiff"]), "TITLE": text_of(numbers["title"]),
         "DATE": text_of(numbers["made"][:10]),
         "STYLE": folder.joinpath("report.css").read_text(encoding="utf-8"),
-        "BODY": f'<section class="summary">\n{facts_table(_summary(data))}</section>\n{body}',
+        "BODY": f'<section class="summary">\n{facts_table(_summary(data))}</section>\n{_warnings(data)}{body}',
     }  # fmt: skip
     # All placeholders are replaced in one pass, so that a text of the user that looks like one is kept.
     template = folder.joinpath("report.html").read_text(encoding="utf-8")
@@ -145,9 +143,13 @@ def _summary(data: ReportData) -> list[tuple[str, str]]:
         worst = max(data.verdicts, key=lambda verdict: verdict.error)
         facts.append(("Scalar theory", f"{_grade(worst.grade)} {text_of(str(worst).partition(' ')[2])}"))
     facts.append(("Light", text_of(_light(data))))
-    if data.warnings:
-        facts.append(("Warnings", f"{len(data.warnings)}, listed below"))
     return facts
+
+
+def _warnings(data: ReportData) -> str:
+    if not data.warnings:
+        return ""
+    return f'<section class="absent">\n<h3>Warnings</h3>\n{listed(data.warnings)}</section>\n'
 
 
 def _light(data: ReportData) -> str:
@@ -260,7 +262,7 @@ def _theory(data: ReportData) -> str:
     rows = [
         f'<tr><td class="number">{verdict.wavelength_nm:g} nm</td><td>{_grade(verdict.grade)}</td>'
         f'<td class="number">{100.0 * min(verdict.error, 1.0):.2g} %</td><td>{text_of(_GRADES[verdict.grade])}</td>'
-        f'<td class="note">{text_of(verdict.explanation)}</td></tr>\n'
+        f'<td class="note">{text_of(verdict.explanation if verdict.error > 0.0 else "none")}</td></tr>\n'
         for verdict in data.verdicts
     ]
     head = (
@@ -363,9 +365,9 @@ def _colours(data: ReportData) -> str:
     tolerance = data.request.settings.get("tolerance", 0.01)
     repeated = [f"{sigma:g}" for sigma in data.colours if 4.0 * sigma > max(data.part.size_um)]
     text = ""
-    if repeated and not data.is_cell:
+    if repeated and not data.is_cell and not data.is_flat:
         text = (
-            f" Windows with σ = {' and '.join(repeated)} µm are wider than the field, which is repeated there: fine "
+            f" Windows with σ = {', '.join(repeated)} µm are wider than the field, which is repeated there: fine "
             "stripes around the mirror direction are orders of this repetition."
         )
     return paragraph(
