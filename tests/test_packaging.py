@@ -190,7 +190,7 @@ def test_importing_the_package_loads_no_slow_packages():
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
     # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
-    light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan"
+    light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan", "plot"
     code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"
     assert not set(run([sys.executable, "-c", code], ROOT).split()) & {"warp", *slow}
     code = "import sys; from warpdiff import *; print(*sys.modules)"

@@ -43,7 +43,9 @@ def test_long_tables_are_printed_without_the_rows_in_the_middle():
 def test_a_table_is_a_sequence_of_rows_with_named_columns():
     table = wd.Table({"m": [0, 1], "efficiency": [0.5, 0.25]})
     assert list(table) == table.rows == [(0, 0.5), (1, 0.25)]
-    assert len(table) == 2
+    assert (len(table), table[0], table[-1]) == (2, (0, 0.5), (1, 0.25))
+    with pytest.raises(IndexError):
+        table[2]
     assert list(table.columns) == ["m", "efficiency"]
     assert not table["m"].flags.writeable
     with pytest.raises(KeyError, match="did you mean 'efficiency'"):

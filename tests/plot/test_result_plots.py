@@ -94,14 +94,16 @@ def test_plots_that_a_result_does_not_allow_are_refused(ax):
         wd.plot.orders(single, ax=ax, against="incidence")
     with pytest.raises(ValueError, match="against='angle' requires the efficiencies for one light"):
         wd.plot.orders(several, ax=ax, against="angle")
+    with pytest.raises(TypeError, match="efficiencies must be the result of warpdiff.order_efficiencies, got HeightF"):
+        wd.plot.orders(wd.gratings.bumps(), ax=ax)
     with pytest.raises(ValueError, match="against='incidence' requires one wavelength, got 2"):
         wd.plot.orders(several, ax=ax)
 
 
 def test_spectra_are_drawn_from_a_result_and_from_arrays(ax):
-    spectra = wd.reflectance_spectra(
-        wd.gratings.sinusoidal(2.0, 0.2), (0, 0, 1), wd.direction([-15.0, 12.0]), [600.0, 300.0, 510.0]
-    )
+    values = np.arange(6.0).reshape(2, 3)
+    light, views = wd.direction([0.0, 0.0]), wd.direction([-15.0, 12.0])
+    spectra = wd.ReflectanceSpectra(np.array([600.0, 300.0, 510.0]), light, views, values)
     wd.plot.spectra(spectra, ax=ax)
     for line, row in zip(ax.lines, spectra.values, strict=True):
         assert line.get_xdata().tolist() == [300.0, 510.0, 600.0]

@@ -91,9 +91,9 @@ def test_marks_of_a_spectrum_are_at_the_inverse_of_the_period(ax, wave):
 
 
 def test_the_integral_of_the_density_is_the_variance():
-    """A sine of amplitude a has the variance a²/2, in a field and in a profile."""
+    """A cosine of amplitude a has the variance a²/2, in a field and in a profile."""
     x = 0.02 * np.arange(800)
-    heights = 0.1 * np.sin(2.0 * np.pi * x / 0.8)
+    heights = 0.1 * np.cos(2.0 * np.pi * x / 0.8)
     field, profile = (Figure().add_subplot() for _ in range(2))
     wd.plot.power_spectrum(wd.HeightField(heights[None], 0.02), ax=profile)
     line = profile.lines[0]

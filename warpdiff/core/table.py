@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Table:
     """Rows of a result with named columns; ``print`` shows it, `save` writes a CSV file.
 
     Names of columns end in their unit, as in ``wavelength_nm``; a name without a unit is a ratio or a number. A table
-    is a sequence of rows, and ``table["efficiency"]`` is a column.
+    is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
 
     Args:
         columns: Columns by name, each of shape (n,).
@@ -76,11 +76,20 @@ class Table:
         """Rows as tuples of Python's numbers and texts."""
         return list(zip(*(column.tolist() for column in self._columns.values()), strict=True))
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._columns:
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+
+    @overload
+    def __getitem__(self, key: int) -> tuple[Any, ...]: ...
+
+    def __getitem__(self, key: str | int) -> NDArray[Any] | tuple[Any, ...]:
+        """Return the column of a name, or the row of an index."""
+        if isinstance(key, (int, np.integer)):
+            return tuple(column[key].item() for column in self._columns.values())
+        if key not in self._columns:
             known = ", ".join(map(repr, self._columns))
-            raise KeyError(f"a table has the columns {known}, got {name!r}{did_you_mean(name, self._columns)}")
-        return self._columns[name]
+            raise KeyError(f"a table has the columns {known}, got {key!r}{did_you_mean(key, self._columns)}")
+        return self._columns[key]
 
     def __len__(self) -> int:
         return self._length

@@ -98,8 +98,8 @@ def order_angles(
 def _waves(source: object) -> list[tuple[NDArray[np.float64], float, float]]:
     """Return wave vector (y, x) [1/µm], period [µm] and its standard error [µm] of each period of a source."""
     if isinstance(source, HeightField):
-        if periods := source.periods():
-            return _waves(periods)
+        if repeating := source.periods():
+            return _waves(repeating)
         axes = [axis for axis in (1, 0) if source.shape[axis] > 1]
         if not axes:
             raise ArgumentValueError(

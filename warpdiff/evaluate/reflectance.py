@@ -95,7 +95,7 @@ def reflectance_spectra(
     heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
     progress: Progress = None, **settings: Unpack[SpectralKeywords],
 ) -> ReflectanceSpectra:  # fmt: skip
-    """Return the spectra of :func:`spectral_reflectance` with their directions, as a table that can be saved.
+    """Return the spectra of :func:`warpdiff.spectral_reflectance` with their directions, as a table that can be saved.
 
     Args:
         heightfield: Height field.

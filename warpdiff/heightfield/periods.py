@@ -110,7 +110,7 @@ class Period:
 
 
 class Periods(tuple[Period, ...]):
-    """Periods of a height field, a tuple of :class:`Period`, strongest first, which also is a table.
+    """Periods of a height field, a tuple of :class:`warpdiff.Period`, strongest first, which also is a table.
 
     Examples:
         >>> import numpy as np
@@ -125,14 +125,16 @@ class Periods(tuple[Period, ...]):
     __slots__ = ()
 
     def table(self) -> Table:
-        """Return a table with a row per period: the attributes of :class:`Period`, with the fundamental's amplitude.
+        """Return a table with a row per period: the attributes of :class:`warpdiff.Period`.
+
+        ``amplitude_um`` is the amplitude of the fundamental.
 
         Examples:
             >>> x = np.arange(730) * 0.02
             >>> ripples = 0.1 * np.cos(np.pi * x) + np.random.default_rng(0).normal(0.0, 0.01, (40, 730))
             >>> print(wd.HeightField(ripples, pitch_um=0.02).periods().table())
             period_um  standard_error_um  direction_deg  amplitude_um    share  is_coherent
-               2.0000...
+               2.0001 ...
         """
         return Table(
             {

@@ -152,7 +152,7 @@ def to_srgb(
     Examples:
         >>> import warpdiff as wd
         >>> wd.to_srgb([0.2, 0.1, 0.02], "colorimetric", exposure=1.0).round(2)
-        array([0.75, 0.  , 0.1 ])
+        array([0.71, 0.  , 0.13])
     """
     validation.choice(display, "display", DISPLAYS)
     colours = validation.finite_array(xyz, "xyz", most=validation.MOST)

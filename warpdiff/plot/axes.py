@@ -47,8 +47,8 @@ def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
         # pyplot shows the figure in notebooks, and chooses a backend without windows where there is no display.
         import matplotlib.pyplot as plt
 
-        return plt.subplots(figsize=(width, height), dpi=120, layout="constrained")[1]
-    if not isinstance(ax, Axes):
+        ax = plt.subplots(figsize=(width, height), dpi=120, layout="constrained")[1]
+    elif not isinstance(ax, Axes):
         raise ArgumentTypeError(
             f"{ref('ax')} must be matplotlib axes, got {type(ax).__name__}: pass one element of plt.subplots()[1]"
         )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from annotated_types import Ge
 
 from warpdiff.core import validation
 from warpdiff.core.angles import signed_angles_deg
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.evaluate.orders import OrderEfficiencies
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
-from warpdiff.image.display_transform import to_srgb
 from warpdiff.optics import colorimetry
 from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
 from warpdiff.request.signatures import checked
@@ -27,13 +25,16 @@ if TYPE_CHECKING:
 _LINE_LUMINANCE = 0.3
 # Height of the band with the colours of the wavelengths, relative to the plot, and its number of colours.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
+# Smallest linear RGB that is used as a divisor; it prevents a division by zero.
+_LEAST_RGB = 1e-9
+# Largest number of orders whose names are written next to them. Limit: more names overlap.
+_MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
 
-@checked
 def orders(
-    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
-    count: Annotated[int, Ge(1)] = 7, title: str | None = None,
+    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None, count: int = 7,
+    title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the efficiencies of diffraction orders against the wavelength, the view angle or the incidence.
 
@@ -62,6 +63,14 @@ def orders(
         >>> axes.get_xlabel()
         'wavelength [nm]'
     """
+    if not isinstance(efficiencies, OrderEfficiencies):
+        raise ArgumentTypeError(
+            f"{ref('efficiencies')} must be the result of warpdiff.order_efficiencies, got "
+            f"{type(efficiencies).__name__}: call that function first"
+        )
+    count = validation.count(count, "count")
+    if against is not None:
+        validation.choice(against, "against", get_args(Against))
     has_lights = efficiencies.to_light.ndim > 1
     if against is None:
         against = "incidence" if has_lights else "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
@@ -167,10 +176,9 @@ def _add_colours(ax: Axes) -> None:
     if first >= last:
         return
     wavelengths = np.linspace(first, last, _BAND_COLOURS)
-    products = colorimetry.colour_products("D65")
-    xyz = np.stack([np.interp(wavelengths, colorimetry.VISIBLE_NM, column) for column in products.T], axis=1)
-    # Bright enough for yellow and green; the ends of the visible range fade to black.
-    colours = to_srgb(xyz / products[:, 1].max(), "colorimetric", exposure=0.75)
+    rgb = _spectral_rgb(wavelengths)
+    # The root of the brightness fades more slowly to black at the ends of the visible range.
+    colours = colorimetry.srgb_encode(rgb / np.sqrt(np.maximum(rgb.max(axis=1, keepdims=True), _LEAST_RGB)))
     ax.imshow(
         colours[None], extent=(first, last, -_BAND_HEIGHT, 0.0), transform=ax.get_xaxis_transform(), aspect="auto",
         clip_on=False, interpolation="bilinear", zorder=3,
@@ -241,13 +249,12 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
         colour = wavelength_colour(wavelength)
         ax.vlines(angles, 0.0, values, color=colour, linewidth=1.6)
         ax.plot(angles, values, "o", color=colour, markersize=5.0, label=None if many else f"{wavelength:g} nm")
-        if len(result.wavelengths_nm) == 1:
-            for column, angle, value in zip(np.flatnonzero(live), angles, values, strict=True):
-                if len(angles) <= 25:
-                    ax.annotate(
-                        _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points",
-                        ha="center", fontsize="small",
-                    )  # fmt: skip
+        if len(result.wavelengths_nm) == 1 and len(angles) <= _MOST_NAMED:
+            for column, angle, value in zip(np.flatnonzero(live).tolist(), angles, values, strict=True):
+                ax.annotate(
+                    _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points", ha="center",
+                    fontsize="small",
+                )  # fmt: skip
     ax.set_xlabel("angle of the order from the normal [°], negative towards −x")
     ax.set_xlim(-90.0, 90.0)
     ax.set_xticks(range(-90, 91, 30))
@@ -262,7 +269,7 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
 def _name(result: OrderEfficiencies, column: int) -> str:
     """Return the name of an order: its number, or both numbers for a surface with two axes."""
     m_y, m_x = result.orders[column].tolist()
-    both = result.orders.any(axis=0)
+    both = np.asarray(result.orders.any(axis=0))
     if both.all():
         return f"({m_y}, {m_x})".replace("-", "−")
     return f"{m_y if both[0] else m_x:+d}".replace("-", "−") if (m_y or m_x) else "0"
@@ -272,7 +279,12 @@ def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
     """Return a display colour for a wavelength, dark enough for lines on white; grey outside of the visible range."""
     if not colorimetry.LAMBDA_MIN_NM <= wavelength_nm <= colorimetry.LAMBDA_MAX_NM:
         return np.full(3, 0.45)
-    xyz = colorimetry.colour_products("D65")[round(wavelength_nm) - colorimetry.LAMBDA_MIN_NM]
-    rgb = np.clip(colorimetry.xyz_to_rgb(xyz), 0.0, None)
+    (rgb,) = _spectral_rgb(np.array([wavelength_nm]))
     luminance = float(colorimetry.rgb_to_xyz(rgb)[1])
     return colorimetry.srgb_encode(rgb * min(1.0 / rgb.max(), _LINE_LUMINANCE / luminance))
+
+
+def _spectral_rgb(wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the linear sRGB of visible wavelengths (m,), at most 1, without negative components, shape (m, 3)."""
+    rgb = np.clip(colorimetry.xyz_to_rgb(colorimetry.colour_products("D65")), 0.0, None)
+    return np.stack([np.interp(wavelengths_nm, colorimetry.VISIBLE_NM, channel) for channel in (rgb / rgb.max()).T], 1)

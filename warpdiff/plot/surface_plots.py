@@ -38,7 +38,7 @@ _DARKEST, _POWER_RANGE = 0.3, 1e-2
 # Ratio of the smallest power in the plot of a profile's spectrum to the largest one.
 _LINE_RANGE = 1e-7
 # Heights of a profile below a map, and of the gap between both, relative to the width of the map.
-_PROFILE, _GAP = 0.3, 0.2
+_PROFILE, _GAP = 0.3, 0.24
 # Smallest power density, which prevents logarithms of 0.
 _LEAST_POWER = 1e-30
 # Markers of periods, from the strongest on.
@@ -57,7 +57,8 @@ def height_map(
     Args:
         heightfield: Height field.
         ax: Axes to draw into; None makes a figure.
-        profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile.
+        profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
+            space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
         at_um: Position of the profile on the other axis [µm]; None is the middle.
         cmap: Name of a colour map of matplotlib.
         title: Title; None states the size of the field.
@@ -297,7 +298,7 @@ class _Line:
             raise ArgumentValueError(f"{ref('at_um')} must be 0 to {size:.4g}, the size of the field, got {at_um:g}")
         index = count // 2 if at_um is None else min(round(at_um / pitch), count - 1)
         heights = heightfield.heights_um[index] if other == 0 else heightfield.heights_um[:, index]
-        positions = heightfield.pitch_um[1 - other] * np.arange(len(heights))
+        positions = heightfield.pitch_um[1 - other] * np.arange(len(heights), dtype=np.float64)
         return cls(along, positions, heights, index * pitch if count > 1 else None)
 
     @property
