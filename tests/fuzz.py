@@ -269,7 +269,7 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
-MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY |= {"Report", "Roughness", "ScanReport", "ToleranceError", "WarpdiffWarning"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.

@@ -115,7 +115,7 @@ def test_a_profile_has_no_aspect_and_the_length_of_its_line():
 
 def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
     # 1,200 samples are averaged by two for the search, and 600 are not.
-    field = random_field(6, (0.5, 1.0), (0.05, 0.05), (200, 1200))
+    field = random_field(6, (0.5, 1.0), (0.05, 0.05), (100, 1200))
     fine, coarse = field.roughness(), wd.HeightField.of_known_scale(field.heights_um[:, ::2], (0.05, 0.1)).roughness()
     assert fine["Sal"].value == pytest.approx(coarse["Sal"].value, rel=3e-3)
     assert fine["Str"].value == pytest.approx(coarse["Str"].value, rel=3e-3)

@@ -621,13 +621,11 @@ class HeightField:
         Heights are relative to a least-squares polynomial, which is subtracted first. No further filter is applied: the
         scales are limited by the pitch and by the size of the field. Only measured samples count.
 
-        | parameter | definition |
-        | --- | --- |
-        | Sa, Sq | mean magnitude, and root mean square, of the heights |
-        | Sdq | root mean square gradient, from differences of neighbouring samples |
-        | Sdr | area of the surface beyond that of its projection, relative to it; mean of both triangulations |
-        | Sal | shortest lag at which the autocorrelation is 0.2 of its value at lag 0 |
-        | Str | Sal divided by the longest such lag, over all directions |
+        - Sa and Sq are the mean magnitude and the root mean square of the heights.
+        - Sdq is the root mean square gradient, from differences of neighbouring samples.
+        - Sdr is the area of the surface beyond its projection, relative to it, as the mean of both triangulations.
+        - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
+        - Str is Sal divided by the longest such lag, over all directions.
 
         Standard errors are from a jackknife over parts of the field (blocks). They say how far another field of the
         same surface would differ; calibration and noise of the instrument are not included.
@@ -645,7 +643,7 @@ class HeightField:
             >>> x = np.arange(500) * 0.02
             >>> wave = wd.HeightField(np.tile(0.1 * np.cos(2 * np.pi * x), (40, 1)), pitch_um=0.02)
             >>> wave.roughness()["Sq"]
-            RoughnessParameter(Sq 0.0707 ± ... µm)
+            RoughnessParameter(Sq 0.0707... ± 0.0... µm)
         """
         order = validation.count(order, "order", least=0)
         cleaning.require_memory("roughness", self.shape)

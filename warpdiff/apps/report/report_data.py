@@ -188,7 +188,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
     for index, sigma in enumerate(request.sigmas_um):
-        settings = {**request.settings, "coherence": Coherence(sigma_um=sigma)}
+        # A plan is for one coherence window.
+        settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
             lambda settings=settings: reflectance(  # type: ignore[misc]

@@ -15,10 +15,11 @@ from warpdiff.apps.report.report_figures import check_matplotlib, figures_of
 from warpdiff.apps.report.report_numbers import numbers_of, tables_of
 from warpdiff.core import files, validation
 from warpdiff.core.progress import Progress, reporter
-from warpdiff.core.wording import ArgumentValueError, marked, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
 from warpdiff.heightfield.field import HeightField
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
+from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import EvaluationSettings
 from warpdiff.request.signatures import accepts
 
@@ -119,14 +120,16 @@ def report(
         ['report.html', 'report.json', 'roughness.csv', 'theory.csv', 'orders.csv', 'colours.csv']
     """
     validation.instance(heightfield, HeightField, "heightfield")
+    if title is not None and not isinstance(title, str):
+        raise ArgumentTypeError(f"{ref('title')} must be a string, got {title!r:.40}")
     check_matplotlib()
     request = Request(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
     )  # fmt: skip
-    # Settings that contradict each other are an error here, and not a reason on the page.
-    EvaluationSettings(**settings)
-    colorimetry.check_illuminant(illuminant, "illuminant")
+    # A wrong setting is an error here, and not a reason on the page.
+    flat = HeightField.of_known_scale([[0.0]], 1.0)
+    Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
     target = _folder(folder)
     announce = reporter(progress, "report") or (lambda _: None)
     data = collect(request, announce)
