@@ -1,1 +1,1 @@
-"""Warp kernels. Each file is a Warp module, which is compiled separately, with its structs and functions."""
+"""Warp kernels and the structs and functions that they use. Each file is a Warp module and is compiled separately."""

@@ -6,11 +6,13 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
-# Warp's intersection of rays and boxes relies on infinities. The compiler flags of this project preserve them.
+# Warp's intersection of rays and boxes divides by 0 and computes with infinities. The compiler flags of this project
+# keep infinities correct.
 wp.set_module_options(compile_options.options())
 
-# Length of a ray [radii of the mesh]. Derived: a ray starts at most 2 radii before the point where it is nearest to the
-# mesh's centre, and leaves the sphere around the mesh within 3 radii. A larger length changes nothing.
+# Length up to which a ray is followed [radii of the mesh]. Derived: a ray starts at most 2 radii before the point where
+# it is nearest to the mesh's centre, and leaves the sphere around the mesh within 3 radii. A larger length changes
+# nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
@@ -41,7 +43,8 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
         origin = camera.axes[0] + across
         along = -camera.axes[3]
     along = wp.normalize(along)
-    # The mesh is within the unit sphere. Most rays that miss the mesh miss the sphere and end here.
+    # The mesh is within the unit sphere. Rays that miss this sphere end here; they are most of the rays that miss the
+    # mesh.
     ahead = -wp.dot(origin, along)
     closest = origin + ahead * along
     if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):

@@ -21,8 +21,8 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of coefficients along an axis from which the amplitude at a frequency is interpolated. Limit: time is
 # proportional to it.
 TAPS = 8
-# Distance N t from a resonance below which a parabola replaces the interference factor, which is 0/0 at t = 0. Derived:
-# the error of the parabola is of fourth order.
+# Value of N t below which a parabola replaces the interference factor of N periods, which is 0/0 at its maximum, t = 0.
+# Derived: the error of the parabola is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -30,16 +30,15 @@ NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 class Quadrature:
     """Sets of wavelengths with colour weights; each set has 2^(−1/4) of the samples of the set before.
 
-    The first set serves the largest bandwidth. A direction uses the smallest set that suffices for its bandwidth.
-    Relative to the largest bandwidth, it is |(per_u u, per_v v)| + per_w |w| + constant. For a source, (u, v) is
-    stretched along the direction in which the source is foreshortened.
+    The first set is for the largest bandwidth of a plan. A direction uses the smallest set that suffices for its own
+    bandwidth.
     """
 
-    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ [1/µm], set after set
+    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths [1/µm], set after set
     weights: wp.array(dtype=wp.vec3f)
     reflectances: wp.array2d(dtype=wp.float32)  # R of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
     least_nm: wp.float64  # first wavelength of ``reflectances`` [nm]
-    firsts: wp.array(dtype=wp.int32)  # first index of each set, and end of the last one
+    firsts: wp.array(dtype=wp.int32)  # index of the first wavelength of each set, and of the end of the last set
     subdivisions: wp.int32  # for periods: samples of the interference factor per sample of the patch
     per_u: wp.float32
     per_v: wp.float32
@@ -67,7 +66,7 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian window exp(−across dy² − along (dx + slant dy)²) for one direction.
+    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the coefficients around q, for one direction.
 
     The distances (dx, dy) from q are in spacings of coefficients.
     """
@@ -84,8 +83,8 @@ class Window:
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
     """Return [sin(πNt)/(N sin(πt))]² for N periods; t is q in spacings of the patch's coefficients."""
-    # Before the sines, whole turns are removed from t and N t in float64: N t may be thousands, where float32 is too
-    # coarse.
+    # Whole turns are removed from t and N t in float64 before the sines are computed: N t may be thousands, where
+    # float32 is too coarse.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -99,7 +98,7 @@ def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32
 
 @functools.cache
 def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
-    """Return the struct and the kernels for rows of ``lanes`` terms.
+    """Return the struct ``Table`` and the kernels for coefficient tables whose rows have ``lanes`` terms.
 
     Args:
         lanes: Number of terms in a row of the table.
@@ -116,15 +115,15 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.struct
     class Table:
-        rows: wp.array(dtype=row_t)  # (my·mx) powers, or (my·mx·2) real and imaginary parts
-        basis: wp.array(dtype=row_t)  # basis at equal steps in |κ|, with one step before the range and two after it
+        rows: wp.array(dtype=row_t)  # for each coefficient: one row of powers, or two of real and imaginary parts
+        basis: wp.array(dtype=row_t)  # basis functions at equal steps in |κ|, one before the range and two after it
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
         steps: wp.float64  # entries of ``basis`` per unit of |κ|
         count_y: wp.int32
         count_x: wp.int32
         origin_y: wp.int32
         origin_x: wp.int32
-        length_y: wp.float64  # coefficients per unit of frequency [µm]
+        length_y: wp.float64  # number of coefficients per unit of frequency [µm]
         length_x: wp.float64
         exponent: wp.float32  # coefficients with a weight below exp(−exponent) are truncated
         across: wp.float32  # falloff of the window, or of a source at normal incidence, at λ = 1 µm
@@ -141,9 +140,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """Return the Gaussian window for one direction to the light, at λ = 1 µm for a source."""
         window = Window()
         if wp.static(form == "source"):
-            # Let t be the tangential part of the direction to the light, at the angle θ from the normal, and s the
-            # spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². It is stored as its
-            # Cholesky factors, whose computation subtracts no nearly equal numbers.
+            # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,
+            # and s the spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². It is
+            # stored as its Cholesky factors, whose computation subtracts no nearly equal numbers.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent
@@ -179,8 +178,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """Return ⟨|P|²⟩ at one wavelength: the sum of coefficients under a window. ``wavenumber`` is 1/λ [1/µm]."""
-        # q is hundreds of coefficients from the zeroth order, while the window is a few coefficients wide. Therefore
-        # the integer part of q is removed in float64, and the window is computed in float32.
+        # The position q may be hundreds of coefficients from the zeroth order, but the window is only a few
+        # coefficients wide. Therefore the integer part of q is removed in float64, and the window is computed in
+        # float32.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))
@@ -216,9 +216,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         total_im = wp.float32(0.0)
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
-        # The Gaussian is not evaluated at each coefficient. From one coefficient to the next, it is multiplied by a
-        # factor, and that factor by a constant. The first factor is computed only if a second coefficient exists. It is
-        # then at most exp(exponent), and does not overflow.
+        # The Gaussian weights along a row are computed by recurrence: from one coefficient to the next, the weight is
+        # multiplied by a factor, and the factor by a constant. The first factor is computed only if a second
+        # coefficient exists. It is then at most exp(exponent), and does not overflow.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):
@@ -241,7 +241,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # The window of a source is a slanted ellipse, in which each row begins at a different coefficient.
+                # The coefficients under a source lie within a slanted ellipse, so that each row of coefficients begins
+                # at another column.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -328,7 +329,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def set_for(quadrature: Quadrature, scattering_vector: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
-        """Return the index of the set of wavelengths for a direction."""
+        """Return the index of the set of wavelengths that suffices for the bandwidth of a direction."""
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
@@ -358,8 +359,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]
             end = quadrature.firsts[chosen + 1]
-            # Thousands of wavelengths are added in float64. In float32, rounding errors would exceed the smallest
-            # tolerances.
+            # The sum over thousands of wavelengths is computed in float64. In float32, its rounding errors would exceed
+            # the smallest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
                 # The interference factor changes fast with the wavelength but requires little time: it is computed at

@@ -23,33 +23,33 @@ from warpdiff.kernels import compile_options, quadratic_spline
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Compile options. Warp does not unroll loops, because unrolling makes compilation slower.
+# Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, that a look-up adds with weights from a table. As azimuths are
-# periodic, the last azimuths are repeated before the first, and the first after the last, in this number. Limit: twice
-# as many double the size of the tables of weights.
+# Half of the largest number of azimuths, or rings, that a look-up adds with tabulated weights. This is also the number
+# of azimuths that are repeated before the first and after the last one of a ring, because azimuths are periodic. Limit:
+# twice as many double the size of the tables of weights.
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. Limit: arrays of this size are on the stack.
 BATCH = 256
-# While one direction is looked up, the rows of a later direction are fetched from memory; this is the difference of
-# their indices. Choice: other numbers change only the time.
+# Number of directions by which memory accesses run ahead: while one direction is looked up, the rows of a later one are
+# fetched from memory. Choice: other numbers change only the time.
 _AHEAD = 3
-# Number of samples on each side that the filter from samples to spline coefficients uses. Limit: weights decrease by
-# −0.17 from sample to sample, so the truncated ones are at most about 0.17⁶ = 3e-5.
+# Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. Limit: the
+# weights of the filter decrease by the factor −0.17 from sample to sample, so that the truncated ones are at most about
+# 0.17⁶ = 3e-5.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of azimuths whose rows a blur adds in one pass over the rings. Limit: their indices and weights are local
-# vectors.
+# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings. Limit: size of its local vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which a footprint is divided where the angle of (u, v) changes within it. Limit: time is
 # proportional to the parts.
 MOST_PARTS = 12
-# Distance from its centre at which a wide blur over rings is truncated [standard deviations]. Limit: time is
-# proportional to it.
+# Distance from the centre of a wide blur over rings at which the blur is truncated [standard deviations]. Limit: time
+# is proportional to it.
 DEVIATIONS = 3.0
 
 
@@ -60,10 +60,10 @@ class FootprintTaps:
     The weights are those of the spline between azimuths, blurred by a Gaussian with the variance of a footprint.
     """
 
-    weights: wp.array3d(dtype=wp.float32)  # weights, (variances, fractions, 2 HALF_TAPS)
-    lengths: wp.array(dtype=wp.int32)  # number of weights in use for each variance, from the first one on
-    per_variance: wp.float32  # entries per unit of the variance, in squared distances of azimuths
-    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … parts of a footprint: their variance, positions and weights
+    weights: wp.array3d(dtype=wp.float32)  # weights by variance and position, (variances, fractions, 2 HALF_TAPS)
+    lengths: wp.array(dtype=wp.int32)  # number of weights that differ from 0, for each variance
+    per_variance: wp.float32  # number of tabulated variances per unit, which is a squared distance of azimuths or rings
+    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … parts of a footprint: variance, positions, weights of the parts
 
 
 @wp.func
@@ -74,7 +74,7 @@ def spline(away: wp.float32) -> wp.vec3f:
 
 @wp.func
 def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
-    """Return a Gaussian that is 1 at its centre."""
+    """Return the value of a Gaussian at a distance from its centre, where it is 1."""
     return wp.exp(-0.5 * away * away / variance)
 
 
@@ -113,14 +113,14 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
         least_w: wp.float32  # |w| of the first entry of ``w_basis``
         per_w: wp.float32  # entries of ``w_basis`` per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # row of azimuth 0, (levels, octaves)
+        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, (levels, octaves)
         azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, (levels, octaves)
         blurs: wp.array2d(dtype=wp.float32)  # standard deviation of the blur in angle [rad], (levels, octaves)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # rings per unit of ln |(u, v)|
         octaves_per_ring: wp.float32  # octaves per ring
-        decimation_scale: wp.float32  # large values prevent look-ups from skipping rings; see ``colour_table``
-        ring_of_one: wp.float32  # ring at |(u, v)| = 1
+        decimation_scale: wp.float32  # large values prevent look-ups from skipping rings, see ``colour_table``
+        ring_of_one: wp.float32  # index of the ring with |(u, v)| = 1, with a fraction
         least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
         lobe_uv: wp.float32  # standard deviation in (u, v) of a coefficient's lobe, at a middle wavelength
         zeroth_order: wp.array(dtype=wp.float32)  # power of the zeroth order by |κ|, which rows exclude
@@ -129,12 +129,15 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         lobe2: wp.float32  # variance of the zeroth order's lobe in frequency; 0 for a source
         wavenumbers: wp.array(dtype=wp.float32)  # 1/λ for the zeroth order's integral over λ [1/µm]
         weights: wp.array(dtype=wp.vec3f)  # colour weights at ``wavenumbers``
-        reflectances: wp.array2d(dtype=wp.float32)  # R of a material at these, by cos θd from 0 to 1; empty is 1
+        reflectances: wp.array2d(
+            dtype=wp.float32
+        )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; empty is 1
         line_blurs2: wp.array(dtype=wp.float32)  # for a source: variance of the lines' blur in angle [rad²], by octave
         spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
         inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
 
-    # Kernels have a second thread index, which is always 0, to avoid a second compiled variant: see ``light_samples``.
+    # Kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
+    # kernel instead of two: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         # Inputs of the kernel:
@@ -145,9 +148,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
 
-        The values are those of one octave. Each coefficient is a sum over ``FILTER_REACH`` azimuths on both sides;
-        weights of farther ones are negligible. Azimuths are periodic, and ``HALF_TAPS`` of them are repeated at both
-        ends.
+        The kernel processes the values of one octave. Each coefficient is a sum
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -172,7 +173,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the values of a mip level at its azimuths: a Gaussian blur of the coefficients of a finer level.
+        """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
 
         The spline between azimuths is itself a blur, with a variance of a quarter of their squared distance.
         """

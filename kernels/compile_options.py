@@ -28,8 +28,8 @@ def headers(name: str) -> tuple[Path, ...]:
 def options(*names: str, **others: Any) -> dict[str, Any]:
     """Return module options for kernels whose native functions are in headers of ``native``.
 
-    All modules have the same include folder, because Warp would precompile its own headers again for another one. Warp
-    compiles a module again if one of its headers has changed, as the headers are build dependencies.
+    All modules have the same include folder, because Warp precompiles its own headers once for each folder. The headers
+    are recorded as dependencies, so that Warp compiles a module again if one of them has changed.
     """
     includes = "".join(f'#include "{name}"\n' for name in names)
     build = wp.ModuleBuildOptions(

@@ -1,6 +1,6 @@
 """Disc samples: random directions to a disc light.
 
-Each sample stands for a small Gaussian; all together cover the disc.
+Each sample represents a small Gaussian of directions. All samples together cover the disc.
 """
 
 import math
@@ -102,8 +102,8 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # Both densities are converted to solid angles: the Gaussian is a density per area of (u, v), and du dv = dω
-            # cos θi.
+            # The probability densities of both ways of drawing are converted to densities per solid angle ω. That of
+            # the Gaussian is per area of (u, v), and du dv = dω cos θi.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

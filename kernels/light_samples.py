@@ -17,13 +17,13 @@ wp.set_module_options(compile_options.options("light_samples.h", "footprints.h")
 class Lights:
     """Lights and their reflection by the pigment.
 
-    They are in arrays, so that a recorded graph can be replayed with new lights.
+    The fields are arrays, so that a recorded graph can be replayed with other lights.
     """
 
     places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
     strengths: wp.array(
         dtype=wp.vec2d
-    )  # power at a distance of 1, and the pigment's strength over R(0), which is 0 without a pigment
+    )  # power at a distance of 1; and the pigment's strength over R(0), which is 0 without a pigment
     deviations: wp.array2d(dtype=wp.vec3f)  # deviations of the light's directions along two perpendicular vectors [rad]
     white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
     rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
@@ -33,13 +33,13 @@ class Lights:
 class Reflection:
     """Parameters of a surface's reflectance that are the same for all directions."""
 
-    normal_reflectance: wp.float64  # R(0) of Schlick's approximation; 1 if the integral over λ includes R
+    normal_reflectance: wp.float64  # R(0) of Schlick's approximation; 1 if the integral over λ already includes R
     masking: wp.bool
     per_light_cosine: wp.bool  # whether gains are divided by the light's cosine, for coherence of kind "source"
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
     materials: wp.array(dtype=wp.int32)  # material of each face; empty for a single material
-    # Factors of the energy normalisation, tabulated by the angle from the normal and the azimuth. An empty array leaves
-    # the energy of Stam's model unchanged.
+    # Factors a of the energy normalisation, tabulated by the angle from the normal and the azimuth. If the array is
+    # empty, the energy of Stam's model is not normalised.
     energy: wp.array2d(dtype=wp.float32)
 
 
@@ -67,7 +67,7 @@ def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """Return the transmittance of a material's surface, in linear RGB, at the cosine of an angle of incidence."""
+    """Return the transmittance of a material's surface to the pigment below, in linear RGB, by the angle's cosine."""
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
@@ -132,8 +132,9 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
     columns = reflection.energy.shape[1]
     if rows == 0:
         return 1.0
-    # The rows of the table are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally spaced in
-    # y/(|x| + |y|) within each quadrant. Both are computed without trigonometric functions.
+    # The rows of the table of factors are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally
+    # spaced in y/(|x| + |y|) within each quadrant. Rows and columns of a direction follow without trigonometric
+    # functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
@@ -209,8 +210,8 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # ``moved`` is the shift of the surface point. The direction to the light changes by −``rotated``, and thus
-            # (u, v) by +``rotated``.
+            # The surface point shifts by ``moved`` within the footprint. The direction to the light then changes by
+            # −``rotated``, and (u, v) by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -243,8 +244,8 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # A sample spreads only perpendicularly to its direction. An isotropic covariance is added here, and its
-                # part along the direction is subtracted below.
+                # The Gaussian of a sample spreads only perpendicularly to the sampled direction. An isotropic
+                # covariance is added here, and its part along the direction is subtracted below.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x
@@ -257,8 +258,8 @@ def add_light_extent(
             xx -= x * x
             xy -= x * y
             yy -= y * y
-        # A footprint is stored as two changes of (u, v). Those of the new footprint are a Cholesky factor of the
-        # covariance.
+        # A footprint is stored as two changes of (u, v), along rows and columns. A Cholesky factor of the new
+        # covariance yields these two.
         along = wp.sqrt(wp.max(xx, 1.0e-20))
         beside = xy / along
         footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))

@@ -8,14 +8,15 @@ from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, S
 
 wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
 
-# Largest distance of a sample from its pixel's centre along an axis [pixels]. Derived: the distance at which the pixel
+# Largest distance of a ray from its pixel's centre along an axis [pixels]. Derived: the distance at which the pixel
 # filter is truncated.
 MOST_OFFSET = 1.5
 # Value in the array ``nearest`` for a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
-# Two multipliers of the hash function "lowbias32" (Wellons 2018), the golden ratio, and the two numbers of the R2
-# sequence (Roberts 2018). The last three are fractions of 1, multiplied by 2^32.
+# Constants of two algorithms. The first two are the multipliers of the hash function "lowbias32" (Wellons 2018). The
+# last three are the golden ratio and the two numbers of the R2 sequence (Roberts 2018), as fractions of 1 multiplied by
+# 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -42,7 +43,7 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 
 @wp.func
 def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
-    """Return the position of a sample in a pixel, (right, down) of the centre [pixels].
+    """Return the position of a ray in a pixel, (right, down) of the centre [pixels].
 
     Offsets have the distribution of the pixel filter, a Gaussian of 0.5 pixel truncated at 1.5, so that all samples
     have equal weights. Samples follow the R2 sequence, shifted for each pixel by a hash (Cranley-Patterson rotation).
@@ -55,7 +56,8 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
         rotation_y = scramble(rotation_x + GOLDEN)
         radial = to_unit(index * R2_X + rotation_x)
         angular = to_unit(index * R2_Y + rotation_y)
-        # A share of 1 − exp(−1.5² / (2 · 0.5²)) of the Gaussian is within the truncation radius.
+        # A Gaussian with a standard deviation of 0.5 pixel has the share 1 − exp(−1.5² / (2 · 0.5²)) of its weight
+        # within the radius 1.5, at which it is truncated. Only this share of its cumulative distribution is used.
         inside = wp.float64(1.0) - wp.exp(wp.float64(-4.5))
         radius = wp.float64(0.5) * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
         angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
@@ -80,7 +82,10 @@ def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
 
 @wp.func
 def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
-    """Return the bilinear colour of a periodic texture, whose row 0 is at v = 1 and whose texel centres are at +0.5."""
+    """Return the colour of a periodic texture by bilinear interpolation between texel centres.
+
+    Row 0 of the texture is at v = 1. Texel centres are half a texel from the edges.
+    """
     height = texture.shape[0]
     width = texture.shape[1]
     x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5
@@ -96,7 +101,7 @@ def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3
     return (1.0 - fy) * top + fy * bottom
 
 
-# Number of cells of a pixel at the finest level. Derived from the levels.
+# Number of cells of a pixel at the finest level. Derived from the number of that level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 
@@ -120,8 +125,7 @@ def rasterize(
 ):  # fmt: skip
     """Find the first face that the ray of each pixel or cell hits, by rasterization. Used on the CPU only.
 
-    Rasterization is faster than rays through a hierarchy there: it projects each face once, while thousands of rays
-    would test the box of a face.
+    On the CPU, rasterization is faster than rays through a hierarchy: it
 
     Args:
         camera: Camera in the units of the mesh.
@@ -245,7 +249,8 @@ def make_shading_frames(
             tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
             tangent = tangent - wp.dot(tangent, normal) * normal
             if wp.length_sq(tangent) > LEAST_TANGENT:
-                # A second projection removes rounding errors of the first one, as in ``face_the_viewer``.
+                # The perpendicular part of the tangent is computed twice, because the second projection removes the
+                # rounding errors of the first one, as in ``face_the_viewer``.
                 tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
             else:
                 tangent = perpendicular(normal)

@@ -14,19 +14,19 @@ FILTER_SIGMA, FILTER_CUT = 0.5, 1.5
 # FILTER_SIGMA and FILTER_CUT.
 _MIDDLE = math.erf(0.5 / (FILTER_SIGMA * math.sqrt(2.0))) / math.erf(FILTER_CUT / (FILTER_SIGMA * math.sqrt(2.0)))
 FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
-# The finest level, with 4,096 cells per pixel. Limit: each level has four times as many cells as the level before, and
-# takes four times as long.
+# The finest level of refinement, with 4,096 cells per pixel. Limit: each level has four times as many cells as the
+# level before, and takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# From this tolerance on, the finest level is MOST_LEVEL − 1. Limit: errors that remain at that level are smaller than
-# this tolerance.
+# Tolerance from which on the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that level
+# are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
-# Least level of pictures without footprints. Limit: with one ray per pixel, the variation of colours within a pixel is
-# unknown.
+# Least level of refinement of pictures without footprints. Limit: with one ray per pixel, the variation of colours
+# within a pixel is unknown.
 LEAST_LEVEL_OF_POINTS = 2
-# Estimated error of a pixel with one ray, relative to the contrast with its neighbours, as a sum of three terms. The
-# first is constant. The second is proportional to the unevenness of (u, v). The third is proportional to the change of
-# (u, v) per pixel relative to |(u, v)|. Unevenness is the relative difference between successive changes of (u, v).
+# Estimated error of a pixel with one ray, divided by the contrast with its neighbours. It is the sum of three terms,
+# whose factors these are: a constant; a term proportional to the unevenness of (u, v), which is the relative difference
+# between successive changes of (u, v); and a term proportional to the change of (u, v) per pixel relative to |(u, v)|.
 # Fitted to bound 95 of 100 pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # Safety factor on the predicted change of a tile when its level is selected, and a second factor at edges. A tile is at
@@ -34,19 +34,20 @@ CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # other bodies and surfaces (docs/decisions/adaptive_sampling.md); twice as large factors require 1.4 times as many
 # cells per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
-# The estimated error of a refined pixel is ERROR_PER_CHANGES times the root sum of squares of the errors of its nine
-# tiles. The error of a tile decreases as n^−ERROR_ORDER, where n is the number of cells along an axis. Fitted: 95 of
-# 100 pixels have a smaller error.
+# A refined pixel is a weighted sum over the cells of nine tiles: itself and its neighbours. Its estimated error is
+# ERROR_PER_CHANGES times the root sum of squares of the errors of these tiles. The error of a tile is assumed to
+# decrease as n^−ERROR_ORDER, where n is the number of its cells along an axis. Fitted: 95 of 100 pixels have a smaller
+# error.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
-# Estimated error of a mean over random samples, in standard deviations of this mean. Limit: with twice the value,
-# pictures under sampled lights require four times as many samples.
+# Estimated error of a mean over random samples, divided by the standard deviation of the mean. Limit: with twice the
+# value, pictures under sampled lights require four times as many samples.
 SCATTER_FACTOR = 1.5
-# Share of the illuminated pixels that are brighter than the Y* of refinement, P99(Y). Derived: one minus the
-# percentile. The reference luminance of reported errors may be larger: it is also at least the luminance-weighted
-# median of Y. Refinement is then stricter than the report.
+# Share of the illuminated pixels that are brighter than the reference luminance Y* of refinement, the 99th percentile
+# of Y. Derived: one minus the percentile. The Y* of reported errors may be larger, because it is also at least the
+# luminance-weighted median of Y. Refinement is then stricter than the report.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
 def rays_at(level: int) -> int:
-    """Return the number of cells of a pixel at a level."""
+    """Return the number of subpixel cells of a pixel at a level of refinement, each with its own ray."""
     return 1 << 2 * level

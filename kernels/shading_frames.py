@@ -7,10 +7,11 @@ from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 # Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding
 # error of positions. Occluders closer than this height cast no shadow.
 LIFT = wp.constant(wp.float32(1.0e-5))
-# Least cosine between the shading normal and the view. Normals with a smaller cosine are tilted towards the viewer.
+# Least cosine of the angle between the shading normal and the direction to the viewer. Normals with a smaller cosine
+# are tilted towards the viewer.
 LEAST_COSINE = wp.constant(wp.float32(0.01))
-# Least squared length of a tangent's component perpendicular to the normal. Shorter ones are replaced by an arbitrary
-# perpendicular direction.
+# If the squared length of a tangent's component perpendicular to the normal is smaller than this, an arbitrary
+# perpendicular direction replaces the tangent.
 LEAST_TANGENT = wp.constant(wp.float32(1.0e-10))
 
 
@@ -40,8 +41,8 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
             aside = geometric - wp.dot(geometric, to_view) * to_view
         if wp.length_sq(aside) < 1.0e-12:
             aside = perpendicular(to_view)
-        # The difference of nearly parallel vectors is short, and has a large relative rounding error. A second
-        # projection removes its error along the other vector.
+        # The component of one vector perpendicular to another is short if both are nearly parallel, and has a large
+        # relative rounding error. Projecting it again removes the error along the other vector.
         aside = wp.normalize(aside)
         aside = wp.normalize(aside - wp.dot(aside, to_view) * to_view)
         result = LEAST_COSINE * to_view + wp.sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * aside
@@ -53,7 +54,8 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
     f"{{{float(LEAST_COSINE)}f, {float(LEAST_TANGENT)}f, {float(LIFT)}f}});"
 )
 def shading_frames_run(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
-    """Compute shading frames and origins of shadow rays.
+    """Compute the shading frames and the origins of shadow rays of consecutive pixels.
 
-    Return the number of pixels that require ``face_the_viewer``.
+    Return the number of pixels that are left to ``face_the_viewer``, because their normals must be tilted or their
+    tangents replaced.
     """

@@ -14,12 +14,14 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# Most kernels have a second thread index, which is always 0, to avoid a second compiled variant: see ``light_samples``.
+# Most kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
+# kernel instead of two: see ``light_samples``.
 
-# Number of grid steps per radius of the mesh. Limit: float32 represents all whole numbers up to 2^24.
+# Number of steps per radius of the mesh to which positions are rounded. Limit: float32 represents all whole numbers up
+# to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# Least cosine between the normal and the direction to the light at which a shadow ray is traced; it is negative.
-# Derived: its magnitude exceeds the rounding error of cosines.
+# Cosine between the normal and the direction to the light from which on a shadow ray is traced. It is slightly
+# negative. Derived: its magnitude exceeds the rounding error of cosines.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -36,7 +38,7 @@ class ShadowGrid:
     towards: wp.vec3d  # unit vector to the light
     low_x: wp.float64  # corner of the first cell along ``across`` [steps]
     low_y: wp.float64  # corner of the first cell along ``up`` [steps]
-    per_step: wp.float64  # cells per step
+    per_step: wp.float64  # grid cells per step of positions
     columns: wp.int32
     rows: wp.int32
     is_closed: wp.bool  # whether the mesh is closed; faces that face away from the light then need no lists
@@ -57,7 +59,7 @@ def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
-    """Return the column or row of a coordinate.
+    """Return the column or row of the grid that contains a coordinate.
 
     A larger coordinate never has a smaller column or row, in spite of rounding.
     """
@@ -74,7 +76,7 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """Return the first and last column and row of a face's bounding box.
+    """Return the first and last column and row of the grid that the bounding box of a face overlaps.
 
     The ranges are empty for a face without area.
     """
@@ -145,9 +147,10 @@ def fill(
     # Outputs of the kernel:
     ends_out: wp.array(dtype=wp.int32),
 ):
-    """Fill the cells' lists. The order in a list depends on the threads, but occlusion does not depend on this order.
+    """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
 
-    Before the launch ``ends_out`` has the index at which each list begins, and afterwards the index at which it ends.
+    The order depends on the threads, but occlusion does not depend on it. Before the launch ``ends_out`` has the index
+    at which each
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):

@@ -1,7 +1,8 @@
 """Sky samples: random directions, some drawn where the surface scatters much light, others where the sky is bright.
 
-The former draw (u, v) from a table of the surface's colours, the latter a direction from blocks of the sky. The weight
-of a sample is one over the sum of both densities (balance heuristic, Veach 1997).
+The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
+blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
+both densities (balance heuristic, Veach 1997).
 """
 
 import math
@@ -31,23 +32,23 @@ class Sky:
 
 @wp.struct
 class SkyDistribution:
-    """The two distributions of a sky's samples: over (u, v), on rings of azimuth samples; over blocks of the sky."""
+    """The two probability distributions of a sky's samples: over rings and azimuths of (u, v), and over the sky."""
 
-    ring_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rings
+    ring_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rings of (u, v)
     starts: wp.array(dtype=wp.int32)  # first azimuth sample of each ring; the last entry is the total number
-    spoke_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the azimuth samples within their ring
+    spoke_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the azimuth samples within their ring
     densities: wp.array(dtype=wp.float32)  # densities per ln|(u, v)| and radian; in the first ring, a disc, per area
-    least_log: wp.float32  # ln|(u, v)| at the edge of the disc
+    least_log: wp.float32  # ln|(u, v)| at the edge of the disc of the first ring
     per_log: wp.float32  # rings per unit of ln|(u, v)|
-    row_cdf: wp.array(dtype=wp.float32)  # cumulative shares of the rows of blocks
-    column_cdf: wp.array2d(dtype=wp.float32)  # cumulative shares of the blocks within their row
-    block_densities: wp.array2d(dtype=wp.float32)  # densities of the blocks per solid angle
+    row_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rows of blocks
+    column_cdf: wp.array2d(dtype=wp.float32)  # cumulative probabilities of the blocks within their row
+    block_densities: wp.array2d(dtype=wp.float32)  # probability densities of the blocks per solid angle
     sky_share: wp.float32  # share of the samples that are drawn from blocks
 
 
 @wp.func
 def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, value: wp.float32) -> wp.int32:
-    """Return the first index from which the cumulative share exceeds a value; the last index if none does."""
+    """Return the first index at which a cumulative probability exceeds ``value``; the last index if none does."""
     low = begin
     high = end - 1
     while low < high:
@@ -61,7 +62,7 @@ def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
-    """Return where a value lies between the cumulative shares before and at an index, 0 to 1."""
+    """Return the position of ``value`` between the cumulative probabilities before and at an index, 0 to 1."""
     before = wp.float32(0.0)
     if index > begin:
         before = cdf[index - 1]
@@ -86,7 +87,7 @@ def draw_uv(table: SkyDistribution, point: wp.vec2f) -> wp.vec2f:
 
 @wp.func
 def density_of_uv(table: SkyDistribution, uv: wp.vec2f) -> wp.float32:
-    """Return the density of :func:`draw_uv` at a point, per area of (u, v)."""
+    """Return the probability density of :func:`draw_uv` at a point, per area of (u, v)."""
     radius2 = wp.max(wp.length_sq(uv), 1.0e-20)
     place = (0.5 * wp.log(radius2) - table.least_log) * table.per_log
     ring = wp.int32(0)
@@ -151,7 +152,7 @@ def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3
 
 @wp.func
 def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
-    """Return the density of :func:`draw_direction` at a position in the sky, per solid angle."""
+    """Return the probability density of :func:`draw_direction` at a position in the sky, per solid angle."""
     rows = table.block_densities.shape[0]
     columns = table.block_densities.shape[1]
     row = wp.clamp(wp.int32(place[1] * wp.float32(rows)), 0, rows - 1)
@@ -163,7 +164,7 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
     """Return the gain of ``light_samples.h`` divided by cos θi.
 
-    The division is due to integration over du dv = dω cos θi.
+    The integral over the sky is computed over (u, v) instead of solid angle ω, and du dv = dω cos θi.
     """
     w = light[2] + view[2]
     overlap = 0.5 * (wp.length_sq(uv) + w * w)
@@ -186,9 +187,10 @@ def mirror_deflections(
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors for light from the mirror direction, from which footprints follow, and count hits.
+    """Compute scattering vectors for light from the mirror direction, and count hits.
 
-    Directions to the light are not drawn yet. Gains are 1 at all hits, because a sky illuminates every point.
+    The footprints of a sky's samples are computed from these scattering vectors, before any direction of the sky is
+    drawn. Gains are 1 at all hits, because a sky illuminates every point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -291,8 +293,8 @@ def sample_sky(
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:
             continue
-        # Densities are per area of (u, v). The density of directions is per solid angle, and is divided by cos θi,
-        # because dω cos θi = du dv.
+        # Both probability densities must be per area of (u, v). The density of directions is per solid angle, and is
+        # divided by cos θi, because dω cos θi = du dv.
         place = place_in_sky(sky, along)
         density = (1.0 - table.sky_share) * density_of_uv(table, uv)
         density += table.sky_share * density_of_direction(table, place) / light[2]

@@ -42,9 +42,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrate the spectrum along one azimuth under the splines of one octave's rings.
+        """Compute the integrals of the spectrum along one azimuth, each weighted by the spline of a ring of one octave.
 
-        The results are written to rows from ``begin`` on.
+        The integrals of consecutive rings are written to consecutive rows from ``begin`` on.
         """
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
@@ -56,7 +56,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         # Outputs of the kernel:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Integrate the power spectrum along azimuths under the splines of one octave's rings.
+        """Compute the integrals of the power spectrum along azimuths, each weighted by the spline of a ring.
 
         ``log_low`` is ln of the first ring's frequency, and ``start`` the row of azimuth 0. The spectrum is sampled
         ``divisions`` times per ring, up to the frequency ``highest``, without the coefficient ``excluded``. If rows are
@@ -90,10 +90,10 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
         # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Integrate a line spectrum along azimuths under the splines of the rings; lines are blurred in angle.
+        """Compute the integrals of a line spectrum along azimuths, each weighted by the spline of a ring.
 
         Args:
-            coefficients: Powers of the lines, one row of terms per coefficient.
+            coefficients: Powers of the lines, one row of terms per coefficient. Lines are blurred in angle.
             lines: Indices into ``coefficients``, in the order of the lines' angles.
             angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
             places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
@@ -134,7 +134,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths that are integrated together. Limit: their sums must fit in registers.
+    # Number of azimuths whose colours a thread computes together. Limit: their sums must fit in registers.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -146,7 +146,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy ``length`` rows for each of a few azimuths, from the ring before the octave on."""
+        """Copy the rows from which the colours of one octave are computed to working memory, for a few azimuths."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -190,8 +190,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
 
-        Some of these rings precede or follow the octaves of the table, as the filter to spline coefficients requires
-        them.
+        Some of these rings precede or follow the octaves of the table. They are required by the filter that converts
+        values to spline coefficients.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count
@@ -205,7 +205,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds rows, each times a factor; a row has coefficients of ``w_basis_size`` functions."""
+    """Return the kernel that multiplies rows of a colour table by factors and adds them."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -215,7 +215,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by the factor of their ring, and add them to ``rows_out``, or replace it with ``begins``."""
+        """Multiply rows by the factor of their ring and add them to ``rows_out``, or replace it with ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

@@ -6,18 +6,20 @@ then depend neither on the size of the mesh nor on its distance from the origin 
 
 import warp as wp
 
-# Footprint: changes of (u, v) over one standard deviation of the filter, first along rows and then along columns.
+# A footprint: the changes of (u, v) over one standard deviation of the pixel filter, first along rows and then along
+# columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Value of ``hit`` for a pixel whose shading frame requires a second, slower computation.
+# Value of the field ``hit`` for a pixel whose shading frame is computed separately, by a slower method.
 SPECIAL = wp.constant(2)
 
 
 @wp.struct
 class Camera:
-    """Camera of a view: the fields of ``warpdiff.scene.camera.ViewFrame`` in the surface's units."""
+    """Camera of a view, in units in which the mesh fills the unit sphere around the origin."""
 
-    # Five vectors: origin, right, up, back, and half the width and height. They are in an array, so that a recorded
-    # graph can be replayed for new views. With an array of structs, compilation would take half a second longer.
+    # Five vectors: origin; unit vectors to the right, up and back; half the width and height of the picture. They are
+    # in an array, so that a recorded graph can be replayed for new views. With an array of structs, compilation would
+    # take half a second longer.
     axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool
     width: wp.int32
@@ -28,9 +30,9 @@ class Camera:
 class Sampling:
     """Positions of rays in pixels: at the centre, at one offset per pixel, or at all cells of some pixels."""
 
-    tiles: wp.array(dtype=wp.int32)  # pixels whose cells are the rays, −1 is no pixel; empty without cells
+    tiles: wp.array(dtype=wp.int32)  # pixels whose cells are the rays, −1 is no pixel; empty if pixels have no cells
     places: wp.array(dtype=wp.vec2d)  # positions of a pixel's cells, (right, down) of the centre [pixels]; or empty
-    offsets: wp.array(dtype=wp.vec2d)  # position of one sample in each pixel, as ``places``; or empty
+    offsets: wp.array(dtype=wp.vec2d)  # position of the one ray in each pixel, as ``places``; or empty
 
 
 @wp.struct
@@ -44,7 +46,7 @@ class Cells:
 
 @wp.struct
 class SurfaceArrays:
-    """Mesh in the units of the kernels, with its vertices' attributes, as in ``warpdiff.scene.mesh_import.Surface``."""
+    """Mesh in units in which it fills the unit sphere, with normals, tangents and other attributes of its vertices."""
 
     mesh_id: wp.uint64
     positions: wp.array(dtype=wp.vec3f)
@@ -70,9 +72,9 @@ class Pixels:
     hit: wp.array(dtype=wp.int32)  # 1 where the ray hits the mesh, else 0; other fields but ``face`` are then undefined
     face: wp.array(dtype=wp.int32)  # index of the face that is hit, or −1
     place: wp.array(dtype=wp.vec2f)  # barycentric coordinates of the face's first and second corner
-    tangent: wp.array(dtype=wp.vec3f)  # t, unit vector
-    bitangent: wp.array(dtype=wp.vec3f)  # b, unit vector
+    tangent: wp.array(dtype=wp.vec3f)  # tangent t, unit vector
+    bitangent: wp.array(dtype=wp.vec3f)  # bitangent b, unit vector
     normal: wp.array(dtype=wp.vec3f)  # shading normal n, unit vector, n·ωr >= 0.01
-    to_view: wp.array(dtype=wp.vec3f)  # ωr, unit vector to the viewer
+    to_view: wp.array(dtype=wp.vec3f)  # unit vector ωr to the viewer
     shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
-    base_colour: wp.array(dtype=wp.vec3f)  # linear RGB; empty without a pigment
+    base_colour: wp.array(dtype=wp.vec3f)  # base colour, linear RGB; empty without a pigment

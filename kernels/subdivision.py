@@ -10,8 +10,8 @@ wp.set_module_options(compile_options.options("cell_splats.h"))
 # the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
-# Bits for the cells of a tile, as in kernels/native/cell_splats.h: some cell is illuminated; some cell hits the mesh
-# but is dark; some cell hits nothing.
+# Bits that describe the cells of a tile, as in kernels/native/cell_splats.h. They are set if at least one cell is
+# illuminated; hits the mesh but is dark; does not hit the mesh.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
@@ -35,7 +35,7 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected ratio of a pixel's error to the contrast with its neighbours, from changes of (u, v)."""
+    """Return the expected error of a pixel, divided by the contrast with its neighbours, from changes of (u, v)."""
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)
@@ -118,8 +118,8 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                        # Diagonal neighbours count, too: their share of the pixel filter is small, but they may be far
-                        # brighter.
+                        # Diagonal neighbours are included: their weight in the pixel filter is small, but they may be
+                        # far brighter.
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
@@ -203,13 +203,13 @@ class FilteredSums:
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # ``splat_cells`` writes the difference between the mean of a tile's cells and the colour by one ray.
-    # ``select_levels`` replaces it by the estimated error of 2 × 2 cells. For sampled lights it is the standard
-    # deviation of the mean.
+    # For each tile, ``splat_cells`` writes the difference between the mean of its cells and its colour by one ray.
+    # ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For sampled lights the array has
+    # the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # For each level and each of three pixels in a row: integral of the pixel filter over the pixel, divided by the sum
-    # of the weights of its cells.
+    # Factors that normalise sums over cells, for each level and each of three pixels in a row: the integral of the
+    # pixel filter over the pixel, divided by the sum of the weights of its cells.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
@@ -227,7 +227,7 @@ def quadrant_at(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return the colour of a quadrant and 1; zeros if its pixel is not a tile.
+    """Return the colour of a quadrant of a tile, and 1 as a fourth number; four zeros if its pixel is not a tile.
 
     ``row`` and ``column`` count quadrants of the picture, two per pixel.
     """
@@ -256,10 +256,10 @@ def select_levels(
     # Outputs of the kernel:
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Select the level of each tile: predict from second differences of colours how much finer cells would change them.
+    """Select the level of each tile, by a prediction of how much finer cells would change its colour.
 
     Args:
-        sums: Sums over the cells of the base level.
+        sums: Sums over the cells of the base level. The prediction uses second differences of the colours of quadrants.
         tiles: Indices of the pixels that are tiles. If empty, they are all pixels of the picture with a level above 0.
         marks: Marks of the pixels that use cells.
         colours: Colours of the picture, resolved from the cells of the base level.
@@ -281,8 +281,8 @@ def select_levels(
         pixel = k
         if tiles.shape[0] > 0:
             pixel = tiles[k]
-        # Other threads may have set a neighbour's level already. This has no effect: levels are only compared with 0
-        # here, and a level of 0 does not change.
+        # Other threads may have changed a neighbour's level already. This has no effect here: levels are only compared
+        # with 0, and a level of 0 does not change.
         if levels_out[pixel] == wp.uint8(0):
             continue
         rank = compact_index(sums.ranks, pixel)
@@ -301,8 +301,9 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x - 1, width, height), own,
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
-        # ``second`` is half the root mean square of the second differences at the four quadrants. The change from the
-        # colour by one ray may be small by chance, and is limited to the range from half of ``second`` to ``second``.
+        # The variable ``second`` is half the root mean square of the second differences of colour at the four
+        # quadrants. The change from the colour by one ray may be small by chance; it is therefore limited to the range
+        # from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -322,7 +323,7 @@ def select_levels(
         if is_dark_in_part and (lighting & LIT) != wp.uint8(0):
             change = change * EDGE_FACTOR
         changes_out[rank] = change
-        # For the selection, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
+        # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
         # For reported errors, n^−ERROR_ORDER is assumed, which is more cautious. The level is rounded to a whole
         # number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
@@ -343,8 +344,8 @@ def raise_levels(
 ):  # fmt: skip
     """Raise the levels of the tiles at ``level``, so that the scatter of their samples meets the tolerance.
 
-    How the scatter decreases is predicted. The arguments are those of :func:`select_levels`. ``colours`` are resolved
-    from the cells of tiles at levels up to ``level``.
+    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`.
+    ``colours`` are resolved from the cells of tiles at levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -366,8 +367,8 @@ def raise_levels(
                     need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
                 if levels_out[there] != wp.uint8(0):
                     rank = compact_index(sums.ranks, there)
-                    # Neighbours' levels are read from the sums, which do not change here. Other threads may change
-                    # ``levels_out`` now.
+                    # Levels of neighbours are read from ``sums``, which does not change here, and not from
+                    # ``levels_out``, which other threads may change now.
                     if sums.levels[rank] == wp.uint8(level):
                         square += share * sums.changes[rank] * sums.changes[rank]
                         count += share
@@ -417,9 +418,9 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If the nine tiles have the same level, the sum over all their cells is normalised (``together``), which is
-        # closest to the pixel filter. Otherwise the sum over each tile is normalised to the tile's share of the filter
-        # (``apart``): without this, steps between levels would be visible.
+        # If the nine tiles have the same level, the sum over all their cells is divided by the sum of all weights
+        # (``together``), which is closest to the pixel filter. Otherwise the sum over each tile is scaled to the tile's
+        # share of the filter (``apart``). Without this, steps between levels would be visible.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)

@@ -8,9 +8,9 @@ from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Bins of the histogram of luminances. The index of a bin is the upper half of the float32 bits of a luminance: sign,
-# exponent and seven bits of the fraction. Counts of groups of bins are stored, too, with which one thread finds a
-# percentile in few steps.
+# Histogram of luminances: number of lower bits of a luminance that a bin ignores, number of groups of bins, and number
+# of bins per group. The index of a bin is the upper half of the float32 bits of a luminance: sign, exponent and seven
+# bits of the fraction. Counts of groups are also stored; with them one thread finds a percentile in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
@@ -55,7 +55,7 @@ def luminance_floor(
     while place > group * BINS and wp.float32(histogram[GROUPS + place]) <= left:
         left -= wp.float32(histogram[GROUPS + place])
         place -= 1
-    # The percentile is the luminance in the middle of its bin.
+    # The percentile is estimated as the luminance in the middle of the bin in which it lies.
     bright = wp.cast((wp.uint32(2 * place + 1)) << (BELOW - wp.uint32(1)), wp.float32)
     floor_out[0] = wp.max(FLOOR * bright, TINY)
 
@@ -83,7 +83,7 @@ def running_max(
     # Outputs of the kernel:
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Replace the output by a count if the count is larger, or in any case if ``begins``."""
+    """Set the output to a count if the count is larger than the output; with ``begins``, in any case."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -152,7 +152,7 @@ def copy_batch(
     # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Copy the next pixels of a list to a batch.
+    """Copy the next pixels of a list to the batch of pixels whose cells are computed next.
 
     If the list is too short, the remaining entries of the batch are −1.
     """

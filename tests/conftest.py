@@ -13,7 +13,8 @@ import pytest
 if TYPE_CHECKING:
     import trimesh
 
-# An empty name disables the disk cache, so that tests do not write to the user's cache folder.
+# The tests set the folder of the disk cache to an empty name. This disables the cache, so that tests do not write to
+# the user's folder.
 os.environ["WARPDIFF_CACHE_DIR"] = ""
 DATA = Path(os.environ.get("WARPDIFF_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 

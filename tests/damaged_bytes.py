@@ -47,7 +47,7 @@ def scans():
 
 
 def exports():
-    """Texts and .x3p files, as instruments export them, which are half of the scans."""
+    """Write height fields as instruments export them, as texts and .x3p files."""
     rng = np.random.default_rng(1)
     heights = np.round(20.0 * rng.normal(size=(7, 6)), 2)
     rows = [" ".join(map(str, row)) for row in heights]
@@ -70,7 +70,10 @@ def exports():
 
 
 def x3p_header(heights):
-    """The header of a file of 6 × 7 samples, with the heights in it or in another member."""
+    """Return the XML header of an .x3p file of 6 × 7 samples.
+
+    With ``heights``, the header contains these heights. Otherwise it refers to another file of the archive.
+    """
     link = "<PointDataLink>bindata/data.bin</PointDataLink><ValidPointsLink>bindata/valid.bin</ValidPointsLink>"
     data = f"<DataLink>{link}</DataLink>"
     if heights is not None:

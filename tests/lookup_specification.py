@@ -181,7 +181,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
         """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
-        # Wide footprints are not Gaussian in ln |(u, v)| and azimuth, so their standard deviations are limited.
+        # For wide footprints, the approximation by a Gaussian in ln |(u, v)| and azimuth is inaccurate. Their standard
+        # deviations are therefore limited.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share
@@ -230,7 +231,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
             weight = wp.exp(-0.5 * CUT_PER_VARIANCE * t * t) * wp.max(1.0 + skew * t * (t * t - 3.0), 0.0)
             if tabulated:
                 weight = taps.weights[step, fraction, ring - first]
-            # A footprint of constant width spans fewer azimuths at a larger radius.
+            # A footprint of constant width in (u, v) covers a smaller angle at a larger radius, and therefore fewer
+            # azimuth samples.
             nearer = wp.exp(-(wp.float32(ring) - place) / table.rings_per_log + 0.5 * ratio2)
             turns = turns_of(u, v) + turn_per_ring * table.rings_per_log * (1.0 - nearer) / (2.0 * wp.PI)
             row_sum += weight * sum_of_azimuths(table, taps, ring, turns, aside2 * nearer * nearer, aside2)
@@ -344,7 +346,7 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.kernel(module="unique", module_options=options(max_unroll=1))
     def integrate(
-        # In:
+        # Table, directions and footprints, read by this kernel. ``run`` directions are processed per thread.
         table: Colours,
         scattering_vectors: wp.array(dtype=wp.vec3d),
         to_lights: wp.array(dtype=wp.vec3f),
@@ -353,11 +355,14 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Out:
+        # Sums over the directions, written by this kernel: gains that the table cannot serve, and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):
-        """Add the XYZ of ``run`` directions per thread to ``xyz_out``. Without footprints their array is empty."""
+        """Add the XYZ of ``run`` directions per thread to ``xyz_out``.
+
+        If no footprints are used, their array is empty.
+        """
         begin = (first + wp.tid()) * run
         for i in range(begin, wp.min(begin + run, gains.shape[0])):
             u = wp.float32(scattering_vectors[i][0])

@@ -23,7 +23,7 @@ SOURCES = {
 }
 # Packages that must not import Warp, neither directly nor through other packages.
 WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "samples")
-# Pattern of attributes of Warp's objects that Warp's reference does not document.
+# Pattern that finds attributes of Warp's objects which Warp's reference does not document.
 UNDOCUMENTED = (
     r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
 )
@@ -146,7 +146,7 @@ for name in (*classes, "ReflectanceSpectra", "Report", "Roughness", "ScanReport"
 """
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts a process that imports all modules and compiles kernels.
 @pytest.mark.slow
 def test_every_public_name_can_be_called_after_all_modules_are_imported():
     names = [name for name in SOURCES if name != "warpdiff.__main__"]

@@ -63,7 +63,7 @@ def test_examples_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
     report: list[str] = []
-    # Other tests may have imported packages that change how NumPy prints numbers.
+    # NumPy must print numbers in its default format, which packages that other tests have imported may have changed.
     with np.printoptions(legacy=False):
         for member, value in members(name):
             runner.run(examples(member, value), out=report.append)

@@ -21,7 +21,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-# This import makes forks wait for the imports of other threads, which happen at the first use of a name.
+# Importing this module registers a hook: ``os.fork`` then waits until no other thread is importing a module. Public
+# names are imported at their first use, on any thread, so an import may be running when the process forks.
 from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-# In a checkout ``kernels/`` is next to this package; an installation has it within.
+# In a checkout, the folder ``kernels/`` lies next to this package. In an installed package, it lies inside.
 if not Path(__path__[0], "kernels").is_dir():
     __path__.append(str(Path(__path__[0]).parent))
 
@@ -111,7 +112,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name at its first use, so that the command line handles signals before slow imports."""
+    """Import a public name at its first use. ``import warpdiff`` itself is therefore fast."""
     if name in _MODULE_OF:
         value = getattr(import_module(f"warpdiff.{_MODULE_OF[name]}"), name)
     elif name in _ALIASES:

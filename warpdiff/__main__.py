@@ -4,18 +4,20 @@ import os
 import signal
 import sys
 
-# Windows has no SIGHUP.
+# Windows has no signal SIGHUP, so only the signals that exist are handled.
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def main() -> int:
-    """Run the command line as a process; returns the exit code."""
-    # A signal that the process was started to ignore, as by nohup, stays ignored.
+    """Run the command line as a process, and return the exit code."""
+    # The parent process may have set a signal to be ignored, as ``nohup`` does with SIGHUP. Such a signal stays
+    # ignored.
     signals = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for handled in signals:
-        # No files exist yet that would have to be deleted.
+        # A signal at this point ends the process at once, because no unfinished files exist yet that it would have to
+        # delete.
         signal.signal(handled, lambda number, _frame: os._exit(128 + number))
-    # Few modules are imported before signals are handled, because imports take time.
+    # This module is imported only after signals are handled, because importing it takes time.
     from warpdiff.apps.process import Interruption, prepare_streams
 
     prepare_streams()
@@ -25,10 +27,11 @@ def main() -> int:
 
         code = cli.main()
     except SystemExit as stop:
-        # argparse ends so after help and after wrong options.
+        # argparse raises SystemExit after printing the help, and after an error in the flags.
         code = int(stop.code or 0)
     except BaseException:
-        # Imports may turn an interruption into an error of their own.
+        # If a signal interrupts an import, the import may raise another error, such as ImportError. That error is not
+        # shown.
         if not interruption.is_interrupted:
             raise
         code = 1

@@ -39,7 +39,8 @@ FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
-# Function of the page that returns its faults. Pictures that load only when they become visible are loaded first.
+# JavaScript function that returns the faults of a page. Pictures that load only when they become visible are loaded
+# first, so that missing ones are found.
 FAULTS = """async () => {
     for (const image of document.images) image.loading = "eager";
     await Promise.all([...document.images].map(image => image.decode().catch(() => null)));
@@ -58,7 +59,7 @@ FAULTS = """async () => {
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
-    """Handler of requests that logs nothing."""
+    """HTTP request handler that writes no log."""
 
     def log_message(self, *_: Any) -> None:
         pass
@@ -66,7 +67,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """Serve a folder on this machine while the context lasts, and yield its address."""
+    """Serve a folder by HTTP on this machine while the context lasts, and yield its address."""
     handler = functools.partial(_Quiet, directory=os.fspath(folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -99,8 +99,8 @@ def two_geometries() -> trimesh.Scene:
     """
     scene = trimesh.Scene()
     body = tube()
-    # trimesh would write a texture for a material without a base colour. The package reads at most one texture per
-    # file.
+    # Without a base colour, trimesh would write a texture for this material. The file would then have two textures, and
+    # the package reads at most one per file.
     body.visual.material = trimesh.visual.material.PBRMaterial(baseColorFactor=(200, 120, 40, 255))
     scene.add_geometry(body, node_name="tube", geom_name="tube")
     at = trimesh.transformations.translation_matrix((0.0, 0.0, 0.9)) @ np.diag([0.5, 0.5, 0.5, 1.0])
@@ -198,7 +198,7 @@ def pixel_values(path: Path) -> Values:
 
 
 def page_values(path: Path) -> Values:
-    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order there."""
+    """Return the packed arrays of an exported web page, and all numbers of its JSON header in their order."""
     page = path.read_text(encoding="utf-8")
     header = re.search(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
     data = re.search(r'<script type="text/plain"[^>]*>([A-Za-z0-9+/=\s]{1000,})</script>', page)

@@ -51,7 +51,7 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU works asynchronously. Without this wait, the time would end before the frame is complete.
+        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)
@@ -95,8 +95,8 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # A plan does not contain material, energy, pigment and samples per pixel, which are therefore passed in addition to
-    # it.
+    # A plan does not contain material, energy, pigment and samples per pixel. These options are therefore passed in
+    # addition to the plan.
     unplanned = {
         name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
     }

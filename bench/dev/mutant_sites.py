@@ -34,11 +34,11 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls are never changed: they make messages, names for messages, types, or options of the compiler.
+# Functions whose calls are never changed. They only make messages or types, or set options of the compiler.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# File that lists the faults of headers. Each line is "header: text". The text contains «old|new», and with old in its
-# place it occurs once in the header.
+# File that lists the faults of headers. Each line is "header: text", and the text contains «old|new». With old alone,
+# the text occurs once in the header; the fault replaces old by new.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 
@@ -102,7 +102,10 @@ def _skipped(node: ast.AST) -> list[ast.AST | None]:
 
 
 def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str]]:
-    """Return byte position, old and new text of each possible token change. ``starts`` are positions of lines."""
+    """Return byte position, old text and new text of each possible token change.
+
+    ``starts`` are the byte positions at which the lines of ``text`` begin.
+    """
     types = {tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING}
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type in types]
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):

@@ -48,8 +48,8 @@ TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robust
 PATIENCE, COMPILE_S = 4.0, 60.0
 # Largest address space of a test process [bytes]. Limit: a changed array size could otherwise exhaust the memory.
 MEMORY = 12 << 30
-# Test processes are forks of a server process that has imported the slow packages. The fork imports warpdiff, whose
-# sources change.
+# Test processes are forks of a server process, which has already imported the slow packages. The server does not import
+# warpdiff: each fork imports it with its changed sources.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
 
@@ -95,7 +95,7 @@ class Recorder:
 def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
     """Run tests in the exported copy of a commit until one fails. With ``record``, run all and record them.
 
-    This process, a fork, ends afterwards.
+    This function runs in a forked process, and ends this process when the tests end.
     """
     os.setsid()
     os.chdir(tree)

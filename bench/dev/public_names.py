@@ -24,13 +24,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. A new name has the same old name in all functions.
+# Keyword arguments that were renamed, new name to old name. Every function that has the new name had the same old name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
-    "periods": "copies",  # argument of Coherence
-    "delta_e": "tolerance",  # argument of bake
-    "previews": "coarser",  # argument of Renderer.draw
+    "periods": "copies",  # old name of the argument of Coherence
+    "delta_e": "tolerance",  # old name of the argument of bake
+    "previews": "coarser",  # old name of the argument of Renderer.draw
 }
 # Functions and methods with arguments that were renamed.
 RENAMED_FUNCTIONS = (

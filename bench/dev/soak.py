@@ -36,11 +36,14 @@ class Row(NamedTuple):
 
 
 def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
-    """Return the counts by row of the report's table, from the test cases of a JUnit file. A test names its row."""
+    """Return the counts by row of the report's table, from the test cases of a JUnit file.
+
+    The property "row" of a test case contains the name of its row.
+    """
     result: dict[str, Row] = defaultdict(lambda: Row(0, 0, 0))
     for case in cases:
         properties = {entry.get("name"): entry.get("value", "") for entry in case.iter("property")}
-        # A test file that is skipped because a package is missing names no row, and is not counted.
+        # A test file that is skipped because a package is missing has no property "row", and is not counted.
         if "row" not in properties:
             continue
         row = result[properties["row"]]

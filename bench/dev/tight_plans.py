@@ -1,11 +1,15 @@
 """Comparison of automatic plans with the cheapest settings: times, and predicted relative to actual errors.
 
-A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions, of which the first 128
-are evaluated. Its automatic plan is compared with all settings of a grid. The grid varies the method, the number of
-terms in multiples of the vector width, the number of neighbours by their least weight exp(−n/2), and the number of
-wavelengths per direction. That number depends on (u, v) and w as in a plan, with factors that vary in quarter octaves,
-or is equal for all directions. For replicated patches, the grid varies the subdivisions of a wavelength interval, in
-quarter octaves, instead of the neighbours.
+A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions. Errors are evaluated on
+the first 128 of these directions. The automatic plan of a configuration is compared with all settings of a grid, which
+varies four things:
+
+- the method
+- the number of terms, in multiples of the vector width
+- the number of neighbours, by their least weight exp(−n/2); for replicated patches, instead, the number of subdivisions
+  of a wavelength interval, in steps of a quarter octave
+- the number of wavelengths per direction: equal for all directions, or dependent on (u, v) and w as in a plan, with
+  factors in steps of a quarter octave
 
 A setting is a candidate if it meets the tolerance on these 128 directions against the float64 reference, without a
 safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest predicted
@@ -54,12 +58,13 @@ KINDS = ("averaged", "centred", "source", "replicas")
 # Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
-PITCH_UM = 0.09  # sample spacing of the synthetic surfaces
-# Numbers of wavelengths below 16, in quarter octaves. They are equal for all directions, because a plan with different
-# numbers per direction has at least 16.
+PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
+# Numbers of wavelengths below 16, in steps of a quarter octave (a factor of 2^(1/4)). They are equal for all
+# directions, because a plan with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
-# Shares of a plan's bandwidth: `CONSTANTS` is the share that is equal for all directions, in quarter octaves. `SPLITS`
-# is the part of the remaining share that is proportional to the order rate; the rest is proportional to |w|.
+# Shares of a plan's bandwidth that are tried. `CONSTANTS` are values of the share that is equal for all directions, in
+# steps of a quarter octave. `SPLITS` are values of the part of the remaining share that is proportional to the order
+# rate; the rest is proportional to |w|.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 # Numbers of values that are tried from the least sufficient value on: `MORE_TERMS` for terms, and `MORE_EXPONENTS` for
@@ -67,12 +72,13 @@ SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of n in the least weight exp(−n) of neighbours.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Methods and settings whose predicted cost exceeds the lowest one by this factor are not tried.
+# Largest predicted cost of methods and settings that are tried, relative to the lowest predicted cost.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
 # Largest number of directions of one timed call. Limit: duration of a comparison.
 MOST_TIMED = 4096
-# Number of assignments of wavelengths that are evaluated at once. Limit: memory.
+# Number of variants of a plan that are evaluated at once, which differ in the number of wavelengths per direction.
+# Limit: memory.
 CHUNK = 64
 
 
@@ -83,7 +89,7 @@ class Configuration(NamedTuple):
     heightfield: wd.HeightField
     coherence: wd.Coherence
     tolerance: float
-    lights: np.ndarray  # (40000, 3)
+    lights: np.ndarray  # directions to the light, shape (40000, 3), like those to the viewer
     views: np.ndarray
 
     def __str__(self) -> str:
@@ -151,7 +157,10 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class Call:
-    """Some directions of one configuration, their reference colours, and their colours and errors by plans."""
+    """Directions of one configuration, with their reference colours.
+
+    Methods compute the colours and errors of these directions by a plan.
+    """
 
     def __init__(
         self, case: Configuration, lights: np.ndarray, views: np.ndarray, luminance: float, *, threads: int | None
@@ -172,7 +181,8 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        # The floor of errors is derived from the luminance of all planned directions, which these few do not represent.
+        # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
+        # do not represent that luminance, which is therefore an argument.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -226,7 +236,10 @@ class Call:
 
 
 class Bandwidths:
-    """Assignments of a number of wavelengths to each direction, and the mean number of each assignment."""
+    """Assignments of wavelengths to directions. Each assignment states a number of wavelengths for every direction.
+
+    The mean number of wavelengths of each assignment is stored, too.
+    """
 
     def __init__(self, call: Call, most: int) -> None:
         first = len(FEWER)
@@ -245,7 +258,7 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # The numbers of wavelengths in ``FEWER`` are equal for all directions.
+        # With one of the numbers in ``FEWER``, all directions have the same number of wavelengths.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -267,7 +280,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan with the numbers of wavelengths of one assignment."""
+        """Return a plan with the numbers of wavelengths that one assignment states."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -277,17 +290,17 @@ class Bandwidths:
 
 
 class Setting(NamedTuple):
-    """A setting that meets the tolerance, with its predicted cost."""
+    """A setting of the grid that meets the tolerance, with its predicted cost."""
 
     cost: float
     plan: wd.Plan
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the cheapest sufficient numbers of wavelengths for each combination of method, terms and neighbours.
+    """Return the sufficient setting with the fewest wavelengths for each combination of the other numbers.
 
-    Combinations that are too costly even with the fewest wavelengths are excluded. For replicas, subdivisions are
-    varied instead of neighbours.
+    The other numbers are method, terms and neighbours or, for replicas, method, terms and subdivisions. Combinations
+    that are too costly even with few wavelengths are excluded.
     """
     case = call.case
     tolerance = case.tolerance
@@ -303,7 +316,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def is_promising(plan: wd.Plan) -> bool:
-        """Return whether a plan could be among the best if it needed the fewest wavelengths found so far."""
+        """Return whether a plan may be among the cheapest, with as many wavelengths as the settings so far."""
         if not results:
             return True
         best = min(setting.cost for setting in results)
@@ -345,7 +358,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan: with the fewest sufficient neighbours and more, or (replicas) other subdivisions."""
+    """Return variants of a plan, with different numbers of neighbours or, for replicas, of subdivisions.
+
+    The smallest number of neighbours is the smallest with which the plan meets the tolerance.
+    """
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
         counts = sorted({max(1, round(automatic.subdivisions * step)) for step in steps})
@@ -432,8 +448,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The ratio of predicted costs is the product of two ratios: of the mean numbers of samples, and of the costs per
-    # sample.
+    # The ratio of predicted costs, of the automatic plan to the cheapest setting, is a product of two ratios: of the
+    # mean numbers of samples, and of the costs per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: 2 · 0.5⁶ < 5 %.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: all of 6 values lie on
+# the same side of the median with the probability 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
 # Target of the total time [s] of one wheel's calls per row and round, and limits of the number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
@@ -70,9 +71,9 @@ class Seconds(NamedTuple):
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Return a function for each row of the report's table, which prepares the calls that are timed.
+    """Return functions by the names of the rows of the report's table. Each function prepares the calls of its row.
 
-    The prepared call is a function whose argument is the number of the call.
+    A prepared call is a function whose argument is the number of the call.
 
     Frames have 640 × 480 pixels unless the row's name states another size. Light and camera move from frame to frame.
     """
@@ -394,7 +395,7 @@ def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], optio
 
 
 def raw(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return all times [s] by row and round. Each pair has the wall and processor times before and after."""
+    """Return all times [s] by row and round: for each pair of calls, wall and processor time of both wheels."""
     return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
 
 

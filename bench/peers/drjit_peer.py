@@ -92,7 +92,8 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # ``factors[:, 1]`` is 2πa/λ. Its quotient by 1/λ is 2πa.
+    # The second column of the factors is the linear term 2πa/λ of the Taylor series, where a is the scale of the
+    # heights. Its quotient by 1/λ is 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
@@ -100,7 +101,7 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
 
     def coefficient(at: Any, x: Any) -> list[Any]:
-        """Return the real and imaginary parts of the coefficients with the indices ``at``, at x = 2πaw/λ."""
+        """Return real and imaginary parts of the coefficients with the indices ``at``, for the argument x = 2πaw/λ."""
         parts = []
         for part in (2 * at, 2 * at + 1):
             value = Float(0.0)

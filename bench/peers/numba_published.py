@@ -132,7 +132,7 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """Return the compiled kernel for one number of terms and neighbours. Its loops have fixed lengths."""
+    """Return the compiled kernel for one number of terms and neighbours, which fix the lengths of its loops."""
     side = 2 * neighbour_extent + 1
     # Three neighbours are processed at a time. A loop with a shorter body would be unrolled before it could be
     # vectorised. If the number of neighbours is no multiple of three, the last entries have the weight 0.
@@ -177,10 +177,10 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def kernel(
-        # In:
+        # Coefficients, quadrature and directions, read by this kernel.
         rows, count_x, origin_y, origin_x, length_y, length_x, across, along, factors, wavenumbers, colours, shift,
         scattering_vectors, gains,
-        # Out:
+        # XYZ of the directions, (n, 3), written by this kernel.
         xyz_out,
     ):  # fmt: skip
         shrink_y = math.exp(-two * across)

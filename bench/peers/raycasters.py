@@ -120,16 +120,19 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
-    """Return interpolated unit normals of hits in float64: faces (n,), −1 for a miss; barycentric coordinates."""
+    """Return the interpolated unit normals of hits in float64, from their faces (n,) and barycentric coordinates.
+
+    A miss has the face −1, and its normal is arbitrary.
+    """
     normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
 
 @wp.kernel
 def query(
-    # In:
+    # Mesh and rays, read by this kernel. Thread 0 traces the ray with the index ``first``.
     mesh_id: wp.uint64, origins: wp.array(dtype=wp.vec3f), directions: wp.array(dtype=wp.vec3f), first: wp.int32,
-    # Out:
+    # Index of the face that each ray hits, and barycentric coordinates of the hit, written by this kernel.
     face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
 ):  # fmt: skip
     """Find the face that each ray hits, −1 for a miss, and the barycentric coordinates of its first two corners."""
@@ -200,7 +203,8 @@ def _mitsuba(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = last[0].is_valid().numpy()
-        # Mitsuba's barycentric coordinates belong to the second and third corner.
+        # Mitsuba's two barycentric coordinates belong to the second and third corner. That of the first corner follows,
+        # because the sum of all three is 1.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
         return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Largest |(u, v)|/λ [1/µm]: light and view at the horizon on the same side, at 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``, in coefficients to each side. Limit: coefficients are stored up to this
-# distance beyond the largest frequency.
+# Largest accepted ``neighbour_extent``: number of neighbours on each side of the central coefficient. Limit: the stored
+# block of coefficients extends by this number beyond the largest frequency.
 MOST_REACH = 4
 
 # Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, the 3 × 3 coefficients around that found by
@@ -47,6 +47,8 @@ SETTINGS: list[dict[str, Any]] = [
 @dataclass(frozen=True, eq=False)
 class Series:
     """Taylor series of the Fourier coefficients of a height field, with the quadrature over λ, for one setting.
+
+    The height h is written as offset + a·g, where a is the scale of the heights and |g| <= 1.
 
     Attributes:
         rows: Real and imaginary parts of iⁿ DFT{gⁿ} for all n, with g = (h − offset)/a, shape (my·mx, 2, terms).
@@ -126,8 +128,8 @@ def rows_of(
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # The phases of the coefficients are those of a window in the centre of the patch. An averaged window is not
-    # affected by them.
+    # The coefficients have the phases of a window in the centre of the patch. Results of an averaged window do not
+    # depend on these phases.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

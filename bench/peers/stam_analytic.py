@@ -89,7 +89,8 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # The factor r is such that, at w = 2, the highlight exp(−(r u/w)²) equals the window's Gaussian at 550 nm.
+        # The width of the rainbow's highlight exp(−(r u/w)²) is chosen such that it equals the window's Gaussian at w =
+        # 2 and 550 nm. This determines the factor r.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)
@@ -110,7 +111,7 @@ def prepare(
 
 
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
-    """Return |H_n0|² of the orders n = −7 … 7 at κ = 0 … −2/0.38 /µm, shape (nodes, 15).
+    """Return |H_n0|² of the orders n = −7 … 7 at equally spaced κ = 0 … −2/0.38 /µm, shape (values of κ, 15).
 
     If n/d is not a multiple of 1/Lx, the nearest multiple is used.
     """
@@ -123,7 +124,10 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 
 
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
-    """Return the factor that gives the rainbow's orders, without highlights, the mean luminance of exact colours."""
+    """Return a factor for the colours of the rainbow, which makes their mean luminance equal to that of exact colours.
+
+    Highlights are excluded from this mean.
+    """
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
     s = np.sqrt(1.0 - z * z)
@@ -176,8 +180,8 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # This length is the integral of the Gaussian over λ in nm, because the colour products have steps of 1
-                # nm.
+                # This length is the integral of the window's Gaussian over λ [nm]. The unit is nm because the CIE
+                # functions are tabulated at steps of 1 nm.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

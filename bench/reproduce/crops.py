@@ -39,7 +39,7 @@ WHOLE = (640, 480)
 # Number of points along each axis of a pixel in the reference, and in the coarser reference that checks its
 # convergence.
 POINTS, FEWER = 96, 64
-# Standard deviation and truncation of the pixel filter [pixels].
+# Standard deviation σ of the pixel filter, and radius at which the filter is truncated [pixels].
 DEVIATION, CUT = 0.5, 1.5
 # Tolerance of the colours of the reference's points, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
@@ -62,17 +62,17 @@ class Crop(NamedTuple):
     light: wd.DirectionalLight
     view: wd.View
     white: float  # reference luminance Y* of the whole picture
-    brightest: float  # Y exceeded by 0.1 % of the picture's pixels, for the exposure of colour differences
+    brightest: float  # luminance that 0.1 % of the picture's pixels exceed, for the exposure of colour differences
 
 
 class Truth(NamedTuple):
     """Reference of the pixels of a crop, all arrays with the shape (HEIGHT, WIDTH)."""
 
-    xyz: np.ndarray  # (HEIGHT, WIDTH, 3)
+    xyz: np.ndarray  # mean colour of the points of each pixel, shape (HEIGHT, WIDTH, 3)
     interior: np.ndarray
-    silhouette: np.ndarray  # whether some but not all points hit the mesh
-    shadowed: np.ndarray  # whether all points hit and some but not all are illuminated
-    settled: np.ndarray  # difference from the coarser reference, ‖ΔXYZ‖
+    silhouette: np.ndarray  # whether some but not all points of the pixel hit the mesh
+    shadowed: np.ndarray  # whether all points of the pixel hit the mesh, and some but not all are illuminated
+    settled: np.ndarray  # difference ‖ΔXYZ‖ from the coarser reference
 
 
 class Errors(NamedTuple):
@@ -81,7 +81,7 @@ class Errors(NamedTuple):
     interior: np.ndarray
     silhouette: np.ndarray
     shadowed: np.ndarray
-    settled: np.ndarray  # convergence of the reference, of interior pixels
+    settled: np.ndarray  # differences of the reference from the coarser reference, of interior pixels
     estimated: np.ndarray  # estimated errors of interior pixels, from ``image.error``
 
 
@@ -223,7 +223,8 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
     """Return a picture of a crop's scene, and whether rendering warned."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
-        # The theory's own error is not that of the computation.
+        # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
+        # measured.
         warnings.filterwarnings("ignore", "scalar diffraction is", wd.WarpdiffWarning)
         image = wd.shade(
             area.mesh, area.heightfield, area.light, view, tolerance=tolerance, samples_per_pixel=samples, pigment=0.0,

@@ -1,4 +1,4 @@
-"""Files of instruments and text exports of a folder: read by ``HeightField.load``, and compared with another reading.
+"""Comparison of ``HeightField.load`` with independent programs, on a folder of files of instruments and text exports.
 
 ``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. It requires the extra
 ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
@@ -28,9 +28,10 @@ import warpdiff as wd
 from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
-# Suffixes of height scans that are refused, and that no independent reading opens as one.
+# Suffixes of scans of heights that the package refuses. No other program opens them either, so that the suffix alone
+# identifies such a file as a scan.
 REFUSED_SCANS = (".nms", ".h5-jpk")
-# Suffixes of files that no instrument writes.
+# Suffixes of files in the folder that no instrument writes. They are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
 SIZE_TOLERANCE, HEIGHT_TOLERANCE = 1e-4, 1e-3
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
@@ -85,7 +86,10 @@ def plain_x3p(path: Path) -> list[Reading]:
 
 
 def text_readings(path: Path) -> list[Reading]:
-    """Return the maps that SurfaceTopography reads from a text; its units default to those that the caller states."""
+    """Return the maps that SurfaceTopography reads from a text.
+
+    If the text states no unit, the unit is nm; if it states no size, the sample spacing is one unit.
+    """
     from SurfaceTopography.IO import open_topography
 
     try:
@@ -108,7 +112,8 @@ def text_readings(path: Path) -> list[Reading]:
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
     """Whether a height field equals an independent reading."""
     heights = field.heights_um
-    # Rows "up" put row 0 of the picture last. XYZ files, whose y grows upwards, are maps without a picture.
+    # The picture of a file shows row 0 at the top. Where the file says that its rows go "up", the heights of the field
+    # are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
     pictures = [heights[::-1] if field.source is not None and field.source.rows == "up" else heights]
     if is_text:
         pictures.append(heights)
@@ -118,7 +123,8 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
         return False
     for picture in pictures:
         known = np.isfinite(picture) & np.isfinite(reading.heights_um)
-        # Gwyddion fills missing samples, and marks them elsewhere.
+        # Gwyddion replaces missing samples by finite heights, and marks them in a separate channel. Such a reading is
+        # compared at all samples that the library knows.
         if not is_text and np.isfinite(reading.heights_um).all():
             known = np.isfinite(picture)
         elif not np.array_equal(np.isnan(picture), np.isnan(reading.heights_um)):
@@ -130,7 +136,10 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
 
 
 def judged(path: Path) -> tuple[str, str]:
-    """Return the verdict on a file and its description."""
+    """Read a file by the library and by an independent program.
+
+    Return a verdict on the library's reading, and a text that describes the reading.
+    """
     is_text = path.suffix.lower() in TEXTS
     try:
         if path.suffix.lower() == ".x3p":
@@ -159,7 +168,7 @@ def judged(path: Path) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Print the verdicts."""
+    """Print the verdict on each file of the folder, and the count of each verdict."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder

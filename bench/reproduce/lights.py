@@ -99,9 +99,9 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours (n, 3) as defined for ``tolerance``.
+    """Return errors of colours (n, 3), defined as for ``tolerance``.
 
-    ``bright`` is the 99th percentile of Y over the whole picture.
+    ``bright`` is the 99th percentile of Y over the whole picture, which determines the floor of the errors.
     """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
@@ -161,7 +161,8 @@ def _judge(
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         seconds = time.perf_counter() - begin
-        # Errors are relative to the luminance of the whole picture. All chosen pixels may be darker.
+        # The floor of the errors is derived from the luminance of the whole picture, because all chosen pixels may be
+        # darker.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance

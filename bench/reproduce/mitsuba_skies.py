@@ -125,7 +125,7 @@ def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: a
 
 
 def measured(draw: Any) -> float:
-    """Return the processor time of a picture [s], the median of three."""
+    """Draw a picture three times. Return the median of the processor times [s]."""
     times = []
     for _ in range(3):
         begin = time.process_time()
@@ -180,7 +180,10 @@ def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
 
 
 def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
-    """Return Mitsuba's environment emitter. The middle column of its map is half a turn from that of the library."""
+    """Return Mitsuba's environment emitter for a sky.
+
+    The map is rotated by half a turn to the orientation of the library.
+    """
     rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}
 

@@ -66,7 +66,7 @@ class Setting(NamedTuple):
 
     @property
     def multiply_adds(self) -> float:
-        """Return the number of multiply-adds per pixel for the real or the imaginary parts of all amplitudes."""
+        """Return the number of multiply-adds per pixel for the real parts of all amplitudes, before they are summed."""
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
     def __str__(self) -> str:

@@ -29,29 +29,29 @@ from bench.suite.validity import CASES, GRATINGS, STORED, UNIT, flat_reflectance
 from warpdiff.diffraction import energy_normalisation
 from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
-# Error of an order from which a grating counts as wrong, a share of the reflected power.
+# Error of an order above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
 # Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
 # gratings, and largest share of qualitative gratings.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Periods and depths with this remainder of their index by three are held out.
 HELD_OUT = 2
-# Number of height samples per period; no grating has more than 40 orders.
+# Number of height samples per period. Limit: it must be well above twice the number of orders, which is at most 40.
 SAMPLES = 512
-# Wavelength of all calls [nm]: lengths are in wavelengths, of 1 µm here.
+# Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength, which are µm at this value.
 WAVELENGTH_NM = 1000.0
-# Cosines that ``--rise`` compares.
+# Values that ``--rise`` compares: cosines of the angle from the normal, from which on an order has its full weight.
 RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
 class Grating(NamedTuple):
-    """A grating with its errors and verdicts.
+    """Errors and verdicts of one grating.
 
     Attributes:
         is_held_out: Whether its period or its depth was never used for fitting.
-        error: Largest error of an order with the energy of a judgement.
-        of_calls: Error by the worst verdict of its calls.
-        of_heights: Error by the verdict of its heights alone.
+        error: Largest difference of an order's efficiency from the rigorous one, as a share of the reflected power.
+        of_calls: Largest error that the verdicts of the calls predict, one call per angle of incidence.
+        of_heights: Error that the verdict on the heights alone predicts.
     """
 
     is_held_out: bool
@@ -61,7 +61,10 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of the grades; see ``MOST_WRONG`` and its neighbours for the targets."""
+    """Counts and shares of gratings by the grade of their verdict.
+
+    Three of the shares have targets, see ``meets_targets``.
+    """
 
     gratings: int
     reliable: int
@@ -72,7 +75,7 @@ class Shares(NamedTuple):
 
     @classmethod
     def of(cls, errors: np.ndarray, verdicts: np.ndarray) -> Shares:
-        """Return the shares of gratings with some errors and verdicts."""
+        """Compute counts and shares from the actual errors of gratings and the errors that their verdicts predict."""
         wrong, reliable, invalid = errors > WRONG, verdicts < QUALITATIVE, verdicts >= INVALID
         return cls(
             len(errors), int(reliable.sum()), _share(wrong[reliable]), _share(reliable[~wrong]),
@@ -81,7 +84,7 @@ class Shares(NamedTuple):
 
     @property
     def meets_targets(self) -> bool:
-        """Whether all three targets are met."""
+        """Whether the shares meet ``MOST_WRONG``, ``LEAST_RELIABLE`` and ``MOST_QUALITATIVE``."""
         return (
             self.wrong_of_reliable <= MOST_WRONG
             and self.reliable_of_right >= LEAST_RELIABLE
@@ -90,7 +93,7 @@ class Shares(NamedTuple):
 
 
 def _share(values: np.ndarray) -> float:
-    """Share of the true values; 0 of none."""
+    """Return the share of true values, or 0 if there are no values."""
     return float(np.mean(values)) if len(values) else 0.0
 
 
@@ -124,7 +127,7 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return the shares by what was judged: verdicts of calls or of heights, and all, fitted or held-out gratings."""
+    """Return the shares for verdicts on calls and on heights, each for all, for fitted and for held-out gratings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         population = gratings(energy, step=step)
@@ -141,7 +144,11 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of normalised mirrors that are not held out, for another height of the full weight."""
+    """Return the mean error of mirror gratings that are not held out, with normalised energy.
+
+    ``cosine`` replaces the cosine of the angle from the normal from which on the normalisation gives an order its full
+    weight.
+    """
     before = energy_normalisation.RISEN
     energy_normalisation.RISEN = cosine
     try:
@@ -154,7 +161,7 @@ def mean_error_by_rise(cosine: float) -> float:
 
 
 def _glass_cells() -> list[tuple[float, float]]:
-    """Periods and depths of the last case, which is glass."""
+    """Return the periods and depths of the glass gratings, which are the last case of the stored file."""
     stored = json.loads(STORED.read_text())
     return [(period, depth) for period in stored["periods"] for depth in stored["depths"]]
 

@@ -146,9 +146,9 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return a function that computes ρ by the library, as an argument of :func:`first_order`.
+    """Return a function that computes ρ by the library, which :func:`first_order` accepts.
 
-    ``opposite`` rotates light and views by 180° about the normal.
+    With ``opposite``, light and views are rotated by 180° about the normal.
     """
     rotated = np.array([-1.0, -1.0, 1.0]) if opposite else np.ones(3)
     return lambda light, views, wavelengths: wd.spectral_reflectance(
@@ -167,7 +167,7 @@ def blazed_period(**options: Any) -> Floats:
 
 
 def written(periods: Floats) -> str:
-    """Return a text with the mean and variance of periods, as the publication formats them."""
+    """Return a text with the mean and the variance of periods, in the format of the publication."""
     return f"{periods.mean():.3f} ({periods.var():.3f})"
 
 
@@ -303,8 +303,8 @@ def scan_windows(setup: Setup) -> Table:
 # Figures of reflectance maps.
 
 
-# Exposures of reflectance maps, which equal those of the demonstration. One-dimensional gratings reflect all light into
-# one line of the map, and have the smaller exposure `LINE`.
+# Exposures of reflectance maps: `LINE` for gratings that reflect all light into few lines or points of the map, `AREA`
+# for other surfaces. Limit: larger values clip more pixels to white.
 LINE, AREA = 0.04, 3.0
 
 

@@ -41,11 +41,11 @@ class Outcome(NamedTuple):
     stratum: tuple[str, float]
     layout: str
     words: str
-    overall: float  # error over tolerance, of all directions; infinite without a result
+    overall: float  # error over tolerance, of all directions; infinite if the call raised an exception
     bright: float  # error over tolerance, of directions with Y >= f
     dim: float  # error over tolerance, of directions with Y < f
     share_dim: float
-    predicted: float  # predicted error over tolerance; 0 without a plan
+    predicted: float  # predicted error over tolerance; 0 if the call raised an exception and made no plan
     white: float  # reference luminance Y*
     refusal: str
     warned: str

@@ -92,9 +92,10 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return the orders from ``first`` to ``last`` relative to each of the orders (p,), shape (p, k).
+    """Return indices of the orders around each of the given orders, shape (orders, neighbours).
 
-    An axis with one sample has only the order 0.
+    The neighbours are those from ``first`` to ``last``, relative to the given order. An axis with one sample has only
+    the order 0.
     """
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
 

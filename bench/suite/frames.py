@@ -81,7 +81,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     number = iter(range(1, 10_000))
 
     def draw(renderer: wd.Renderer) -> None:
-        # A GPU works asynchronously. Without this wait, the time would end before the frame is complete.
+        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, next(number))).device)
 
     times = interleaved({name: functools.partial(draw, one) for name, one in renderers.items()}, setting.rounds)
@@ -98,7 +98,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name, as lists of value, least, most and unit."""
+    """Return times and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():
@@ -109,7 +109,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per body. Return a sentence that compares refined frames with points, by the chart's name."""
+    """Draw one panel per body. Return the chart's name with a sentence that compares refined frames with points."""
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))
@@ -131,7 +131,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return, for each body, time and P99 error with the most point samples, relative to frames refined to 0.1."""
+    """Return time and P99 error of the most point samples, relative to frames refined to 0.1, for each body."""
     texts = []
     for body, by_method in results.items():
         ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]

@@ -40,7 +40,8 @@ JUDGED = 300
 # Approximate duration of a timed call [s], and least number of its pixels.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-# Numbers of frames among which the time of one preparation is divided.
+# Numbers of frames n for which the time per frame is charted: the time of a frame plus the time of the preparation over
+# n.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Methods of warpdiff that the charts compare, by kind of coherence.
@@ -233,7 +234,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name, as lists of value, least, most and unit."""
+    """Return times and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():
@@ -248,7 +249,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one chart per scene and coherence. Return a sentence about the methods of each chart, by its name."""
+    """Draw one chart per scene and coherence. Return each chart's name with a sentence about its methods."""
     return {f"pareto_{name}": _draw(f"pareto_{name}", result, folder) for name, result in results.items()}
 
 

@@ -25,7 +25,7 @@ EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return sRGB pictures (height, width, 3) of all scenes, with their errors relative to warpdiff's at 1e-3."""
+    """Return sRGB pictures (height, width, 3) of all scenes, and their errors relative to warpdiff at 1e-3."""
     results = {}
     for scene in scenes(setting.data):
         coherence = scene.coherences[0]
@@ -59,7 +59,10 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of peers relative to warpdiff by name, as lists of value, least, most and unit."""
+    """Return errors of the peers, relative to warpdiff, by name.
+
+    Each entry is a list: value, smallest, largest, unit.
+    """
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]
         for name, scene in results.items()
@@ -70,7 +73,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the pictures of all scenes on one sheet. Return a sentence about their differences, by the chart's name."""
+    """Draw the pictures of all scenes on one sheet. Return the chart's name with a sentence about their differences."""
     plt = figures.pyplot()
     columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(

@@ -60,7 +60,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return rates and errors by name, as lists of value, least, most and unit."""
+    """Return rates and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
     result: dict[str, list[Any]] = {}
     for name, figure in results["casters"].items():
         for threads, rate in figure["mrays"].items():
@@ -71,7 +71,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one bar per program and number of threads. Return a sentence about the rates, by the chart's name."""
+    """Draw one bar per program and number of threads. Return the chart's name with a sentence about the rates."""
     plt = figures.pyplot()
     casters = results["casters"]
     figure, axis = plt.subplots(figsize=(9.5, 0.62 * len(casters) + 1.7))

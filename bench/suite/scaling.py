@@ -115,8 +115,8 @@ def measure(setting: Setting) -> dict[str, Any]:
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # In some series a first run compiles kernels for the plan of this point. Only the times of the second run
-            # are used.
+            # Some parameters change the number of terms of the plan, so that other kernels must be compiled. Such
+            # points are measured twice, and the second run is used.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
@@ -138,7 +138,7 @@ def exponent(x: list[float], y: list[float]) -> float:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and memory by name, as lists of value, least, most and unit."""
+    """Return times and memory by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
     result: dict[str, list[Any]] = {}
     for name, points in results.items():
         for point in points:
@@ -150,7 +150,10 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw times and memory of each series, with fitted exponents. Return a sentence on them, by the chart's name."""
+    """Draw times and memory of each series, with fitted exponents.
+
+    Return the chart's name with a sentence about them.
+    """
     plt = figures.pyplot()
     columns = min(len(results), 4)
     rows = -(-len(results) // columns)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 IOR = 1.5
 # Width of the pictures whose pixels are timed.
 WIDTH = 960
-# Number of illuminated pixels of a frame. Times per pixel are multiplied by it to estimate times per frame.
+# Number of illuminated pixels of a frame. A time per pixel is multiplied by this number to estimate the time per frame.
 FRAME_PIXELS = 150_000
 
 
@@ -113,8 +113,8 @@ def scenes(data: Path | None) -> list[Scene]:
         return wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=2)
 
     def disc() -> wd.HeightField:
-        # The patch is as long as the scan's. In a shorter patch, the window would extend over several periods of the
-        # same pits.
+        # The patch of the synthetic disc is 64 µm long, about as long as the measured scan. In a shorter patch, the
+        # window would extend over several periods of the same pits.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
     measured = inputs.scan(data)

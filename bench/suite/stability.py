@@ -212,7 +212,7 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Return directions tilted to within 30° of the normal, which limits the coefficients of large patches."""
+    """Return directions tilted to within 30° of the normal. This limits the number of coefficients of large patches."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
@@ -286,8 +286,8 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 def pitch(which: slice = ALL) -> Panel:
     """Return the panel of the sample spacing.
 
-    If the pitch is too coarse, methods that use the height samples as they are have large errors by aliasing.
-    Resampling to 0.02 µm before the call reduces the error.
+    If the pitch is too coarse, methods that use the height samples unchanged have large errors by aliasing. Resampling
+    to 0.02 µm before the call reduces the error.
     """
     period, depth, sigma = 1.6, 0.3, 3.0
     window, (lights, views) = wd.Coherence(sigma_um=sigma), methods.in_plane(64, 1.9)
@@ -315,7 +315,8 @@ def periods(which: slice = ALL) -> Panel:
         points.start()
         lights, views = methods.near_resonance(heightfield, away, wavelength)
         scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
-        # The phase is computed from the same vectors as the reference, so that both have the same rounding errors.
+        # The phase between neighbouring periods is computed from the same vectors as in the reference, so that both
+        # have the same rounding errors.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
             direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]
@@ -478,7 +479,10 @@ def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object],
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the panels. A quick run has every fifth value on the x axis, without the slow ones at the ends."""
+    """Measure the panels.
+
+    A quick run computes only every fifth value on the x axis, without the slow values at the ends.
+    """
     results = {}
     for regime in REGIMES:
         setting.say(f"stability: {regime.__name__}")
@@ -488,7 +492,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name, as lists of value, least, most and unit."""
+    """Return the errors of the automatic choice by name. Each entry is a list: value, smallest, largest, unit."""
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
         for regime, panel in results.items()
@@ -498,7 +502,10 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw all panels in one chart. Return a sentence about the automatic choice, by the chart's name."""
+    """Draw all panels in one chart.
+
+    Return the chart's name with a sentence about the errors of the automatic choice.
+    """
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)
     worst, warnings, points = 0.0, 0, 0

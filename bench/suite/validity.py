@@ -65,7 +65,7 @@ class Integral:
 
         self._illumination, self._problem, self._profiles = Illumination.classical, problem.Problem, profiles
         self._solver = solvers.get_solver("integral")
-        # The solver reads indices of refraction from files in a folder that an environment variable names.
+        # The solver reads indices of refraction from files. An environment variable states their folder.
         self._folder = tempfile.TemporaryDirectory()
         os.environ["GRATINGLAB_MATERIALS"] = self._folder.name
 
@@ -144,14 +144,15 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-    # Periods and depths are relative to the wavelength, which is 1 µm in this call.
+    # Periods and depths are stored in units of the wavelength. In this call the wavelength is 1 µm, so that both are in
+    # µm.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
     return float(np.max(np.abs(efficiencies - rigorous)))
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error and of the verdict on the heights, and counts for the verdict."""
+    """Return maps of the error and of the verdict on the heights, and counts of the gratings by their verdict."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
@@ -166,7 +167,7 @@ def measure(setting: Setting) -> dict[str, Any]:
                     every = zip(ANGLES, angles, strict=True)
                     worst.append(max(error(shape, index, period, depth, angle, row) for angle, row in every))
         errors = np.array(worst).reshape(len(periods), len(depths)).round(5)
-        # Lengths are in wavelengths: of 1 µm here.
+        # Periods and depths are stored in units of the wavelength. At a wavelength of 1 µm, as here, both are in µm.
         expected = [[verdict_on(GRATINGS[shape](p, d, samples=SAMPLES), 1000.0).error for d in depths] for p in periods]
         maps[case], verdicts[case], rules[case] = errors.tolist(), expected, rule(errors, np.array(expected))
     return results | {"maps": maps, "verdicts": verdicts, "rule": rules}
@@ -185,7 +186,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return a sentence about the error bound, by the chart's name."""
+    """Draw the maps of the error. Return the chart's name with a sentence about the error bound."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -237,7 +238,7 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts and errors of ``rule`` by name, as lists of value, least, most and unit."""
+    """Return the counts and errors of ``rule`` by name. Each entry is a list: value, smallest, largest, unit."""
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
         for case, counts in results["rule"].items()

@@ -256,7 +256,10 @@ def a_list(rng, case, most):
 
 
 def some_views(rng, way, lights, spread, heightfield, coherence):
-    """Return one random view per light, distributed as ``way`` says, at most ``STEEPEST_DEG`` from the normal."""
+    """Return one random view per light, at most ``STEEPEST_DEG`` from the normal.
+
+    ``way`` names the distribution of the views.
+    """
     views = np.zeros_like(lights)
     pending = np.arange(len(lights))
     while len(pending):

@@ -34,7 +34,7 @@ def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return P99 of ΔE2000 under D65, over colours with Y <= ``brightest``, at the exposure that scales it to 1."""
+    """Return P99 of ΔE2000 under D65 over colours with Y <= ``brightest``. The exposure scales ``brightest`` to 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 COUNT = 2000
 # Least number of bright directions (Y >= f) in the sample, if the call has as many. With fewer, their P99 is noisy.
 BRIGHT = 600
-# Tolerance of the reference: half of this value, or half of the tolerance of the call if that is smaller.
+# The reference has half of this tolerance, or half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3
 # Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the foreshortened
 # spread of the source in (u, v) is so narrow that the reference requires half a million wavelengths.
@@ -42,10 +42,10 @@ LEAST = 1e-10
 class Result(NamedTuple):
     """Results of a call for its illuminated directions. ``read`` marks directions that the planner's trials used."""
 
-    xyz: np.ndarray  # (n, 3)
-    to_light: np.ndarray  # (n, 3)
-    to_view: np.ndarray  # (n, 3)
-    read: np.ndarray  # (n,)
+    xyz: np.ndarray  # colours of the directions, shape (n, 3)
+    to_light: np.ndarray  # directions to the light, shape (n, 3)
+    to_view: np.ndarray  # directions to the viewer, shape (n, 3)
+    read: np.ndarray  # whether the planner's trials used the direction, shape (n,)
     plan: wd.Plan
     warned: str
 
@@ -98,7 +98,8 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
     }  # fmt: skip
     with witnessed() as planned, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
-        # The theory's own error is not that of the computation.
+        # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
+        # measured.
         warnings.filterwarnings("ignore", "scalar diffraction is", wd.WarpdiffWarning)
         if case.picture is not None:
             picture = case.picture

@@ -46,7 +46,8 @@ def outcome(call, *args, **keywords):
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
-        # The theory's own error is not that of the computation.
+        # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
+        # measured.
         warnings.filterwarnings("ignore", "scalar diffraction is", wd.WarpdiffWarning)
         try:
             result = call(*args, **keywords)
@@ -177,8 +178,8 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
 class Rows(NamedTuple):
     """Fourier coefficients or their powers as products: one row of numbers per coefficient, and a common basis in κ."""
 
-    values: np.ndarray  # (my, mx, terms), complex amplitudes or real powers
-    basis: object  # function of κ (m,) that returns (m, terms)
+    values: np.ndarray  # complex amplitudes or real powers, shape (my, mx, terms)
+    basis: object  # function of κ (m,) that returns the basis functions, shape (m, terms)
     origin: tuple[int, int]
 
 
@@ -194,9 +195,9 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
         values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
-    # The other methods interpolate between samples of the coefficients at Chebyshev nodes in κ. For "power", the number
-    # of nodes is the number of terms. For "exact" and "low-rank", it is so large that interpolation errors are rounding
-    # errors.
+    # Methods other than series interpolate between samples of the coefficients at Chebyshev nodes in κ. For "power",
+    # the number of nodes is the number of terms. For "exact" and "low-rank", it is so large that interpolation errors
+    # are rounding errors.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
@@ -367,7 +368,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
             "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
         )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
-        # An interval of wavelengths is dλ = dτ/τ², here in nm, because the colour products have steps of 1 nm.
+        # The interval dλ = dτ/τ² is in nm here, because the CIE functions are tabulated at steps of 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
         area *= math.sqrt(2.0 * math.pi) * width / tau**2 * 1e3
         curves = np.stack([np.interp(1e3 / tau, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -379,9 +380,10 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return the factor |(p + iq)/N|² of N periods by the published formula (Single 2014, eq. 3.47, with N + 1 for N).
+    """Return the factor |(p + iq)/N|² of N periods, where p + iq is the published sum (Single 2014, eq. 3.47) over N
+    periods.
 
-    ``turns`` is the phase between neighbouring periods, in turns.
+    The published formula has N + 1 periods. ``turns`` is the phase between neighbouring periods, in turns.
     """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)

@@ -28,9 +28,9 @@ WIDTHS = 9.0
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# `POINTS` is the number of Gauss-Legendre nodes per cell of the quadrature over 1/λ. The other two are the initial size
-# of a cell: in standard deviations of a Gaussian in 1/λ, and in periods of an oscillation. Cells are halved until the
-# integral converges.
+# Size of the cells of the quadrature over τ = 1/λ. `POINTS` is the number of Gauss-Legendre nodes per cell. The initial
+# length of a cell is at most `WIDTHS_PER_CELL` standard deviations of a coefficient's Gaussian in τ, and at most
+# `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
@@ -53,7 +53,10 @@ XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0
 
 
 class Step(NamedTuple):
-    """Coherence as the reference uses it: some attributes of ``wd.Coherence``, which is accepted as well."""
+    """The attributes of a coherence that the reference uses.
+
+    A ``wd.Coherence`` has the same attributes and can replace this object.
+    """
 
     kind: str = "averaged"
     sigma_um: float | None = None
@@ -115,8 +118,8 @@ class Coefficients:
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients near at least one of the directions are stored. `places` maps the index of an order to its
-        # position.
+        # Only coefficients near at least one of the directions are stored. For the index of an order, `places` has the
+        # position of its coefficient in the stored array.
         radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         indices, self.places = [], []
         for n, length, across in zip(
@@ -139,7 +142,9 @@ class Coefficients:
         self.centre = centre
 
     def metric(self, to_light):
-        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around a coefficient."""
+        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of a coefficient's Gaussian around its
+        frequency q_rs.
+        """
         if self.step.kind != "source":
             return np.eye(2)
         # A disc in the sky is an ellipse in (u, v): its axis towards the light is shorter by the factor cos θi.
@@ -147,26 +152,29 @@ class Coefficients:
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) around a coefficient."""
+        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around the
+        frequency q_rs.
+        """
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
         falloff = (4.0 if self.step.kind == "averaged" else 2.0) * (math.pi * self.step.sigma_um) ** 2
         return np.full(np.shape(tau), falloff)
 
     def resolution(self, scattering_vector, to_light):
-        """Return the largest quadrature cell in τ for one direction, and the least result that must converge.
+        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
+        converge.
 
         The cell is small enough to resolve the Gaussian of each coefficient that τ·(u, v) passes as τ changes.
         """
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The Gaussian's standard deviation in τ is τ²·spread/|q|, and smallest at the smallest τ. Coefficients up
-            # to about |q|/τ = |(u, v)| + 4·spread matter.
+            # The Gaussian of a coefficient has the standard deviation τ²·spread/|q| in τ. It is smallest for the
+            # smallest τ and the largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| + 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # This is the Gaussian's standard deviation in τ for averaged windows. It is valid for centred windows, too:
-            # each Gaussian is wider by √2, but the power contains products of two Gaussians.
+            # This is the Gaussian's standard deviation in τ for an averaged window. For a centred window, amplitudes
+            # have a Gaussian that is wider by √2, but the power is a product of two amplitudes and has the same width.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -241,7 +249,11 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest cell in τ that resolves lobes of the periods, and the least result that must converge."""
+        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
+        converge.
+
+        The cell is small enough to resolve the lobes of the replicated periods.
+        """
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
             abs(u) * n * length for u, n, length in zip(scattering_vector[:2], self.periods, self.lengths, strict=True)
@@ -360,7 +372,8 @@ def quadrature(cells, illuminant):
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by 6 points.
+    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by a Gauss
+    # rule with 6 points.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)

@@ -7,7 +7,7 @@ from sphinx_gallery.scrapers import figure_rst
 
 
 def saved_pictures(_block, block_vars, gallery_conf) -> str:
-    """Move the pictures that a code block of an example has written into the gallery's folder.
+    """Move pictures that a code block of an example has written, from its folder to the gallery's folder.
 
     sphinx-gallery calls this function after each code block. The function returns reStructuredText that shows the
     pictures.

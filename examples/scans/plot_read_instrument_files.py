@@ -13,7 +13,7 @@ import numpy as np
 import warpdiff as wd
 
 surface = wd.gratings.fingers(size_um=12.8, pitch_um=0.1)
-picture_nm = 1e3 * surface.heights_um[::-1]  # an instrument stores the top row first
+picture_nm = 1e3 * surface.heights_um[::-1]  # instruments store the top row first
 ny, nx = picture_nm.shape
 header = f"# Channel: Height\n# Width: {0.1 * nx:g} µm\n# Height: {0.1 * ny:g} µm\n# Value units: nm"
 np.savetxt("scan.txt", picture_nm, fmt="%.3f", delimiter="\t", header=header, comments="", encoding="utf-8")

@@ -1,5 +1,5 @@
-// Atomic operations for the CPU and the GPU. Warp's own functions are atomic on a GPU only, but on the CPU several
-// threads run slices of one launch.
+// Atomic operations for the CPU and the GPU. Warp's own ones are atomic on a GPU only, but on the CPU several threads
+// also run parts of one launch at the same time.
 
 #pragma once
 
@@ -19,7 +19,7 @@ WARPDIFF_INLINE int atomic_increment(int* count)
 
 #if !defined(__CUDA_ARCH__)
 
-// Replace a number by `value` if `value` is smaller, as one atomic operation.
+// Replace a number in memory by `value` if `value` is smaller, as one atomic operation.
 template <class Number>
 WARPDIFF_INLINE void keep_smallest(Number* smallest, Number value)
 {

@@ -1,5 +1,5 @@
-// Splatting of subpixel cells: each cell is added to its pixel and to the eight pixels around it, with the weights of
-// the pixel filter.
+// Splatting of subpixel cells: the colour of each cell is added to its pixel and to the eight pixels around it, with
+// the weights of the pixel filter.
 
 #pragma once
 
@@ -11,13 +11,14 @@ namespace warpdiff {
 // dark (UNLIT), or does not hit the mesh (MISSED).
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
-// The scatter of a pixel is estimated from means over blocks of its cells. This is the largest number of blocks along
-// an axis. Limit: size of local arrays.
+// The scatter of a pixel is estimated from the means over square blocks of its cells. This is the largest number of
+// blocks along an axis of the pixel. Limit: size of local arrays.
 constexpr int BLOCKS = 4;
 
-// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` has the sum of colours times weights, and the sum
-// of weights, for the pixel that lies 1 − i rows below and 1 − j columns to the right. `blocks` has the sum of colours
-// of each block and the number of its cells that hit the mesh. `lighting` has the bits LIT, UNLIT and MISSED.
+// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` is this pixel's contribution to the pixel that
+// lies 1 − i rows below and 1 − j columns to the right: the sum of colours times weights, and the sum of weights.
+// `blocks` has the sum of colours of each block and the number of its cells that hit the mesh. `lighting` has the bits
+// LIT, UNLIT and MISSED.
 struct CellSums {
     float filtered_sums[3][3][4] = {}, blocks[BLOCKS][BLOCKS][4] = {};
     int across, cells; // number of blocks along an axis, number of cells per block
@@ -77,8 +78,8 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // With a random direction, a black colour does not prove that the cell is dark: light from another
-            // direction may reach it.
+            // If the direction to the light is random, a black cell may still be illuminated from another direction.
+            // All its cells count as illuminated then.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const block = sums.blocks[row / per_block][column / per_block];
             for (int c = 0; c < 4; ++c) block[c] += value[c];
@@ -92,9 +93,10 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Sum the cells of the subdivided pixels from `begin` to `end` and store the sums; the index −1 marks no pixel. If
-// directions to the light are random, the scatter is stored in `changes_out`. Otherwise, and only at the base level,
-// the change from the previous colour is stored there, and the mean colours of the quadrants in `quadrants_out`.
+// Sum the cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums; the index −1 marks no
+// pixel. If directions to the light are random, `changes_out` receives the scatter. Otherwise, and only at the base
+// level, it receives the change from the previous colour, and `quadrants_out` receives the mean colours of the
+// quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

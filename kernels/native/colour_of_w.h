@@ -1,5 +1,5 @@
-// Conversion of a weighted sum of rows of a colour table to XYZ. All rows share the same basis functions of w. The
-// zeroth order is added separately, because the rows exclude it.
+// Conversion of a weighted sum of rows of a colour table to XYZ. A row has coefficients of basis functions of w, which
+// all rows share. The zeroth order is added separately, because the rows exclude it.
 
 #pragma once
 
@@ -54,8 +54,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a sum of rows to a colour, and add it to pixel i, multiplied by `share`. The sum may be slightly negative,
-// because the weights of rings have small negative values. Negative colours count as 0.
+// Convert a sum of rows to a colour, multiply it by `share`, and add it to pixel i. The sum may be slightly negative,
+// because some weights of rings are negative. Negative colours count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -64,7 +64,7 @@ WARPDIFF_INLINE void add_colour(
     for (int c = 0; c < 3; ++c) xyz[3 * i + c] += share * wp::max(colour.xyz[c], 0.0f);
 }
 
-// Add the XYZ of the zeroth order, which is the reflection at the mean plane, of one pixel. At each wavelength it is a
+// Add the XYZ of the zeroth order (the reflection at the mean plane) to one pixel. At each wavelength, this order is a
 // Gaussian around (u, v) = 0, widened by the covariance (xx, xy, yy) of the footprint. `source2` is the square root of
 // the determinant of the light source's covariance, or 0 without a source.
 template <class Table>

@@ -15,28 +15,29 @@
 
 namespace warpdiff {
 
-// Number of pixels or parts that a vectorised loop processes at a time. Loops always process a multiple of this number.
-// Otherwise the compiler would round differently for the last few elements, which do not fill a vector.
+// Number of pixels, or of parts of footprints, that a vectorised loop processes at a time. Loops always process a
+// multiple of this number. Otherwise the compiler would round differently for the last few elements, which do not fill
+// a vector.
 constexpr int ABREAST = batch_of(8);
 // Largest number of rings per segment. Limit: on the CPU, weights and rows of all rings are stored in local arrays. A
 // GPU does not store them.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Standard deviation relative to |(u, v)| from which `ring_sum.h` computes the colour of a footprint. Only tables for a
-// window use it. Fitted: 0.15 makes frames 5 to 10 % slower.
+// Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide, and `ring_sum.h`
+// computes its colour. This applies only to tables for a window. Fitted: 0.15 makes frames 5 to 10 % slower.
 constexpr float WIDE = 0.25f;
-// `MOST_TURN` is the standard deviation of the polar angle [rad] above which a footprint is split into parts. In each
-// part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for the
-// standard deviations of the angle and of ln |(u, v)|. Wider footprints surround the mirror direction, and polar
-// coordinates do not describe them.
+// If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
+// within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
+// the standard deviations of the angle and of ln |(u, v)|. Footprints beyond them surround the mirror direction, and
+// polar coordinates do not describe them.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// Up to the variance `MOST_TABULATED` [rings²] of a blur, the weights of rings are tabulated. For larger variances,
-// they are values of the Gaussian. Wide blurs do not require all rings: `MOST_APART` is the largest spacing of the
-// rings that are added, relative to the narrowest feature of colours and blur. `CURVES` is the standard deviation of
+// The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²], and are values of
+// a Gaussian for larger ones. Wide blurs do not require all rings: `MOST_APART` is the largest distance of the rings
+// that are added, relative to the narrowest feature of the colours and the blur. `CURVES` is the standard deviation of
 // the narrowest colour curve in ln λ.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Gaussian for wide blurs across rings, truncated `deviations` standard deviations from its centre. Its variance before
-// truncation is 1/`per_variance`, which is larger than 1, such that the variance after truncation is 1.
+// Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre. Truncation
+// reduces its variance to 1, so that its variance before truncation is larger: 1/`per_variance`.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -47,13 +48,14 @@ struct Footprints {
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the filter
-    Batch<N> xx, xy, yy, source2;              // covariance, and square root of the light source's determinant
+    Batch<N> xx, xy, yy, source2;              // covariance of (u, v); for a source, √ of its determinant
     Batch<N> angle2, ratio2, both;             // covariance of the angle and of ln |(u, v)|
-    Batch<N> along_u, along_v, parts;          // change of (u, v) by one standard deviation of the angle
+    Batch<N> along_u, along_v, parts;          // change of (u, v) with one standard deviation of the angle
     AtW<N> at_w;
 };
 
-// Parts of the footprints of several pixels. Each has a position in the table, and blurs across rings and azimuths.
+// Parts of the footprints of several pixels. A part has a position in the table, and is blurred across rings and
+// azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -64,20 +66,21 @@ struct Parts {
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments: consecutive rings of a part that lie in the same octave.
+// Segments of several parts. A segment is a group of consecutive rings of a part that lie in the same octave.
 template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // `position` is the azimuth of the part's centre. At a ring with ρ times the radius of the centre, the azimuth is
-    // shifted by `turning` · (1 − 1/ρ). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
+    // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth is
+    // shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
     // `behind` is the difference of that mean from ln |(u, v)| at the centre. `blur` is the variance in angle at the
     // centre and `level_blur` that of the mip level, both as indices of the table of weights.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows that are added for one ring, one per azimuth: index of the first row, number of rows, index of the first weight.
+// Rows of the table that are added for one ring, one row per azimuth: index of the first row, number of rows, and index
+// of the first weight.
 struct RingRows {
     int row, count, taps;
 };
@@ -155,9 +158,9 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
         }
 }
 
-// Return whether the table of a light source cannot serve a pixel. It cannot near the mirror direction, and where the
-// blur by the source is narrower than the blur that the rows already have. `cut` is the share of the angle's variance
-// that the distances of the parts represent. `within` is the remaining share, the variance within a part.
+// Return whether the table of a light source cannot serve a pixel: near the mirror direction, or where the blur by the
+// source is narrower than the blur that the rows already have. `cut` is the share of the angle's variance that the
+// distances between the parts represent, and `within` the remaining share, the variance within a part.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -268,8 +271,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
             parts.place[k] = at.log2 * (float)table.rings_per_octave + table.ring_of_one;
-            // The angle may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring. The remaining
-            // variance of the angle blurs each ring. The quadratic spline between rings adds a variance of ¼ rings².
+            // The polar angle of (u, v) may be correlated with ln |(u, v)|: the azimuth then shifts from ring to ring.
+            // The remaining variance of the angle blurs each ring. The quadratic spline between rings adds a variance
+            // of ¼ rings².
             const float variance = ratio2 * per_log * per_log + 0.25f, deviation = wp::sqrt(variance);
             parts.turn_per_ring[k] = both * per_log / variance;
             parts.half_ratio2[k] = 0.5f * ratio2;
@@ -289,15 +293,15 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // Reads at computed indices are in a loop of their own, because compilers do not vectorise loops that have them and
-    // several outputs.
+    // Values at computed indices are read in a loop of their own, because compilers do not vectorise loops that contain
+    // such reads and have several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // The colours are smooth over at least the spacing of azimuth samples. In tables for a window, this spacing
+            // The colours are smooth over the distance between azimuth samples. In tables for a window, this distance
             // is added to the blur. In tables of a light source, the lines are already blurred by it.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
@@ -318,7 +322,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If rings are skipped, the index of the first one is a multiple of the spacing, so that neighbouring
+            // If only every n-th ring is added, the index of the first one is a multiple of n, so that neighbouring
             // pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
@@ -366,8 +370,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
-            // Select the widest mip level whose blur does not exceed that of the footprint; each level has twice the
-            // blur of the one before. Weights of several azimuths add the remaining blur.
+            // Select the most blurred mip level whose blur does not exceed that of the footprint; each level has twice
+            // the blur of the one before. The remaining blur is added by a weighted sum over several azimuths.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -388,7 +392,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of a segment's m-th ring: the value of the skewed Gaussian, up to a constant factor.
+// Return the weight of a segment's m-th ring: the value of a skewed Gaussian around the part's centre, up to a constant
+// factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -397,8 +402,8 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint at a segment's m-th ring, and the index of the remaining blur in the table of
-// weights. The width of a footprint in (u, v) is the same at all rings. Its angular width is therefore inversely
+// Compute the azimuth of the footprint's centre at a segment's m-th ring, and the remaining blur as an index of the
+// table of weights. The width of a footprint in (u, v) is the same at all rings, so that its angular width is inversely
 // proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
@@ -430,8 +435,8 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Rows and weights of the rings of segments. On the CPU, they are stored for a whole batch before any ring is summed. A
-// GPU computes those of a ring when it sums the ring.
+// Rows and weights of all rings of segments. On the CPU, they are stored for a whole batch before any ring is summed. A
+// GPU computes them for each ring when it sums the ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;

@@ -10,12 +10,12 @@
 namespace warpdiff {
 
 struct FootprintLimits {
-    float least_cosine; // least cosine between shading normals and the view direction
+    float least_cosine; // least cosine between a shading normal and the view direction
     float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
 };
 
 // Displacements of a camera ray in the picture plane, by one standard deviation of the pixel filter to the right and
-// downwards. The eye and the backward axis of the camera are stored, too.
+// downwards; and the eye and the backward axis of the camera.
 struct FilterSteps {
     float step[2][3], back[3], eye[3];
     bool perspective;
@@ -84,8 +84,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
         face.tangent[c] = pixels.tangent[0][c][i] + share1 * face.tangent1[c] + share2 * face.tangent2[c];
         away[c] = filter.eye[c] - pixels.position[0][c][i] - share1 * edge1[c] - share2 * edge2[c];
     }
-    // Derivatives of the barycentric coordinates for a displacement in the picture plane that is projected along the
-    // view direction.
+    // A displacement of the ray in the picture plane moves the hit point on the face along the view direction. These
+    // are the derivatives of its barycentric coordinates.
     cross(edge1, edge2, face.across);
     cross(edge2, face.across, face.of_share1);
     cross(face.across, edge1, face.of_share2);
@@ -95,15 +95,15 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
     face.slide1 = dot(face.view, face.of_share1) * per_facing;
     face.slide2 = dot(face.view, face.of_share2) * per_facing;
-    // Compute factors from lengths in the picture plane to changes of the view direction (`per_unit`) and to distances
-    // near the hit point (`scale`).
+    // Factors that convert a length in the picture plane: `per_unit` to a change of the view direction, and `scale` to
+    // a distance near the hit point.
     face.per_unit = filter.perspective ? dot(face.view, filter.back) : 0.0f;
     face.scale = (filter.perspective ? face.per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
     return face;
 }
 
-// Compute the changes of (u, v) for the displacements along both picture axes. The shading frame also changes: the
-// normal is interpolated between the corners of the face, and so is the tangent.
+// Compute the changes of (u, v) if the camera ray is displaced along each axis of the picture. The shading frame then
+// changes, too, because its normal and tangent are interpolated between the corners of the face.
 template <int N>
 WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
     bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)
@@ -129,7 +129,7 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         const float along = dot(face.view, step), through = dot(face.across, step);
         const float share1 = face.scale * (dot(face.of_share1, step) - face.slide1 * through);
         const float share2 = face.scale * (dot(face.of_share2, step) - face.slide2 * through);
-        // Components of the change of the view direction along the three axes of the shading frame.
+        // Change of the view direction, as components along the three axes of the shading frame.
         const float t_turn = -face.per_unit * (dot(t, step) - along * t_view);
         const float b_turn = -face.per_unit * (dot(b, step) - along * b_view);
         const float n_turn = -face.per_unit * (dot(n, step) - along * n_view);

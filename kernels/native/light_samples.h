@@ -1,5 +1,5 @@
-// Scattering vectors, directions to the light and gains of pixels. Coverage and illumination are also added over
-// samples.
+// Scattering vectors, directions to the light and gains of pixels. Sums of coverage and illumination over several
+// samples are updated, too.
 
 #pragma once
 
@@ -8,8 +8,8 @@
 
 namespace warpdiff {
 
-// Sums per pixel over several samples: XYZ, coverage and illumination. With `resets_xyz` or `resets_coverage`, sums
-// start again from 0; otherwise values are added to the present sums.
+// Sums per pixel over several samples: XYZ, coverage and illumination. With `resets_xyz` or `resets_coverage`, the sums
+// are set to 0 before values are added.
 struct SumsOfPixels {
     float* xyz;
     double* coverage;
@@ -25,7 +25,8 @@ struct SumsOfPixels {
     }
 };
 
-// Position of a light in homogeneous coordinates. The fourth coordinate is 0 for a direction and 1 for a point.
+// Direction to a distant light, or position of a point light, in homogeneous coordinates: the fourth coordinate is 0
+// for a direction and 1 for a position.
 struct LightPlace {
     double place[4];
 
@@ -44,7 +45,7 @@ template <int N>
 struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
     Batch<N> towards[4];                         // direction to the light and weight, if each pixel has its own
-    Batch<N, double> light[3], uvw[3];           // in the frame: direction to the light, scattering vector
+    Batch<N, double> light[3], uvw[3];           // in the shading frame: direction to the light, scattering vector
     Batch<N> gain;
 
     template <class Pixels>
@@ -67,8 +68,8 @@ struct ScatteringBatch {
 };
 
 // Return the gain: the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), times Schlick's reflectance relative to
-// normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, as no
-// nearly equal numbers are then subtracted.
+// normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, because
+// the direct formula would subtract nearly equal numbers.
 WARPDIFF_INLINE double gain_of(
     double u, double v, double w, double cos_i, double cos_r, double beyond_normal, bool masking, bool per_cosine)
 {
@@ -89,8 +90,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
     const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
     for (int i = 0; i < N; ++i) {
-        // The shading frame is stored in float32, and directions expressed in it do not have unit length. They are
-        // normalised again: otherwise (u, v) would not be 0 in the mirror direction.
+        // The axes of the shading frame are rounded to float32, so that directions expressed in it do not have exactly
+        // unit length. They are normalised again: otherwise (u, v) would not be 0 in the mirror direction.
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];

@@ -1,4 +1,5 @@
-// Hits of a batch of pixels, with the corners of the faces that are hit; one array per component of a vector.
+// Hits of a batch of pixels, with the corners of the faces that are hit. Each component of a vector has an array of its
+// own.
 
 #pragma once
 
@@ -9,7 +10,7 @@ namespace warpdiff {
 template <int N>
 struct PixelBatch {
     Batch<N, bool> met;
-    Batch<N> position[3][3], normal[3][3], tangent[3][3]; // by corner and axis
+    Batch<N> position[3][3], normal[3][3], tangent[3][3]; // of the corners of the face, by corner and axis
     Batch<N> share0, share1;                              // barycentric coordinates of the first two corners
     Batch<N> to_view[3];
 

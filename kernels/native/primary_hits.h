@@ -1,4 +1,4 @@
-// Hits of camera rays, computed from the nearest face of each ray, which is already known.
+// Hits of camera rays: where a ray meets its nearest face, which is already known.
 
 #pragma once
 
@@ -7,7 +7,7 @@
 
 namespace warpdiff {
 
-// A batch of rays that hit a face: indices of rays and faces, and positions in the picture [pixels].
+// A batch of rays that hit a face: indices of rays and faces, and positions of the rays in the picture [pixels].
 template <int N>
 struct KnownHits {
     int count = 0;
@@ -101,7 +101,7 @@ WARPDIFF_INLINE void intersect_known_faces(
     KnownHits<batch_of(BATCH)> hits;
     for (int ray = begin; ray < end;) {
         const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
-        // Number of rays up to the end of the picture row, or of the pixel's cells.
+        // Number of consecutive rays: up to the end of the picture row, or the remaining cells of the pixel.
         int count = of_tiles ? of_tile - ray % of_tile : width - column;
         count = count < end - ray ? count : end - ray;
         for (int k = 0; k < count; ++k) {

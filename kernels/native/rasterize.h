@@ -19,8 +19,8 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 #else
 
-// Projected corners are rounded to this number of steps per pixel. Derived: with 2^14, products of positions are exact
-// in float64, and no ray passes between two adjacent faces.
+// Number of steps per pixel to which the corners of faces are rounded after projection into the picture. Derived: with
+// 2^14, products of positions are exact in float64, and no ray passes between two adjacent faces.
 constexpr double PER_PIXEL = 1 << 14;
 // Distance of the near plane from the eye [radii of the mesh]. Parts of faces in front of it are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;
@@ -37,24 +37,25 @@ WARPDIFF_INLINE double greater(double a, double b)
     return a > b ? a : b;
 }
 
-// A picture with the positions of its rays and the nearest face of each ray.
+// A picture that is rasterized: the positions of its rays, and the nearest face of each ray so far.
 template <int MOST_CELLS>
 struct Raster {
     const double* axes;
     bool orthographic;
     int width, height;
     double per_width, per_height;
-    // Distance from the eye to the sphere around the mesh. It is subtracted from stored distances: distances from a
-    // remote eye would be equal in float32 for different faces.
+    // Distance from the eye to the sphere around the mesh. It is subtracted from stored distances: without this, a
+    // remote eye would have the same distance, in float32, to different faces.
     double before;
     const double* offsets; // offset of each pixel's ray from the pixel centre; null: no offsets
-    // Subdivided pixels. `marks` has one bit per pixel of the picture, in words of 64. `ranks` has the index of each
-    // subdivided pixel among them. `aside` and `below` are the offsets of the cells from the pixel centre [pixels].
-    const unsigned long long* marks; // null: one ray per pixel
+    // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
+    // has the number of each subdivided pixel among all subdivided ones. `aside` and `below` are the offsets of the
+    // cells from the pixel centre [pixels].
+    const unsigned long long* marks; // null if pixels are not subdivided
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double max_cell_offset, max_offset; // largest offset of cells, and of any ray, along an axis
+    double max_cell_offset, max_offset; // largest offset of a cell, and of any ray, along an axis [pixels]
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>
@@ -143,8 +144,8 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
     }
 }
 
-// Store the face of triangle i as the nearest one of a ray if it is nearer than the stored face. The stored word has
-// the float32 bits of the distance in its upper half and the index of the face in its lower half.
+// Store the face of triangle i for a ray if it is nearer than the face stored so far. The stored word has the float32
+// bits of the distance in its upper half and the index of the face in its lower half.
 template <class Picture>
 WARPDIFF_INLINE void keep_nearest(
     const Picture& picture, const Triangles& triangles, int i, double inside0, double inside1, double inside2, int ray)
@@ -292,8 +293,8 @@ WARPDIFF_INLINE ClippedFace clip_face(const Picture& picture, const float* posit
             clipped.rises[clipped.count++] = rises;
         }
         if ((in_view[k][2] >= NEAR_PLANE) == (in_view[next][2] >= NEAR_PLANE)) continue;
-        // The edge is interpolated from the vertex with the smaller index, so that both adjacent faces get the same
-        // point.
+        // The point where an edge crosses the near plane is interpolated from the vertex with the smaller index, so
+        // that both adjacent faces get the same point.
         const int a = rises ? k : next, b = rises ? next : k;
         const double t = (NEAR_PLANE - in_view[a][2]) / (in_view[b][2] - in_view[a][2]);
         for (int c = 0; c < 2; ++c)
@@ -315,8 +316,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // `rises` of the edges opposite to the triangle's three corners. The two triangles have opposite values for
-        // their diagonal.
+        // `rises` of a triangle's edges is stored by the opposite corner. The two triangles have opposite values for
+        // their common edge, the diagonal.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;

@@ -1,8 +1,9 @@
 // Mean colours over footprints that are wide compared with their distance from the mirror direction.
 //
-// Such a footprint is not a small range of angles and radii. Its colour is a weighted sum of the rows at all rings and
-// azimuths within it. The weight of a row is the value of the footprint's Gaussian in (u, v). Rows of a mip level are
-// already blurred along a ring. To compensate, the Gaussian is made narrower along the ring.
+// The look-up for other footprints assumes a small range of angles and radii, which a wide footprint is not. Its colour
+// is a weighted sum of the rows at all rings and azimuths within it. The weight of a row is the value of the
+// footprint's Gaussian in (u, v). Rows of a mip level are already blurred along a ring. To compensate, the Gaussian is
+// made narrower along the ring.
 
 #pragma once
 
@@ -13,37 +14,37 @@ namespace warpdiff {
 
 // Number of azimuths per batch. Limit: lanes of a SIMD vector.
 constexpr int ARC = batch_of(8);
-// Distance at which the Gaussian of a footprint is truncated [standard deviations]: outwards, and towards the mirror
-// direction, where surfaces are brightest. Limits: a larger distance adds more rows.
+// Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]: away from the
+// mirror direction, and towards it, where surfaces are brightest. Limits: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Not all rings of the table are added. The largest spacing is `RINGS_APART` in ln |(u, v)|, limited by the smoothness
-// of colours. It is also limited to `RINGS_PER_DEVIATION` standard deviations of the Gaussian along (u, v). If the
-// radius of a ring is below `WITHIN` times the smaller standard deviation, the spacing is twice as large. With twice
-// the spacing everywhere, sums over narrow Gaussians are inaccurate.
+// Not all rings of the table are added. Their distance is at most `RINGS_APART` in ln |(u, v)|, because colours are
+// smooth over this distance, and at most `RINGS_PER_DEVIATION` standard deviations of the Gaussian in the direction of
+// (u, v). For rings whose radius is below `WITHIN` times the smaller standard deviation, it is twice as large. Twice
+// the distance everywhere would make sums over narrow Gaussians inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Least radius of the innermost ring: `INNERMOST` times the smaller standard deviation of the Gaussian, or
+// Smallest radius of the rings that are added: `INNERMOST` times the smaller standard deviation of the Gaussian, or
 // `INNERMOST_OF_LOBE` times that of the lobe of an order, if this is smaller. `NARROWEST` is the least standard
 // deviation of the Gaussian, relative to that lobe. Limits: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Limits of the mip level. `MOST_BLUR2` is the largest ratio of the variance of its blur to the variance of the
-// Gaussian along the ring. `AZIMUTHS_APART` is the largest spacing of its azimuths, in standard deviations of the
-// Gaussian.
+// Limits for the mip level whose rows are added. `MOST_BLUR2` is the largest variance of its blur, relative to the
+// variance of the Gaussian along the ring. `AZIMUTHS_APART` is the largest distance of its azimuths, in standard
+// deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
-// A Gaussian of (u, v): its mean and the inverse of its covariance.
+// A Gaussian over (u, v): its mean (u, v) and the inverse of its covariance.
 struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// Mip level for the rings of one octave. `spacing` is the distance of its azimuths [rad]. `blur2` is the variance of
-// its rows minus the variance of the spline between azimuths [rad²]. If the variance of the Gaussian along a ring is at
-// least `until`, the next level is used.
+// Mip level from which the rings of one octave are added. `spacing` is the distance of its azimuths [rad]. `blur2` is
+// the variance of the blur of its rows minus that of the spline between azimuths [rad²]. If the variance of the
+// Gaussian along a ring is at least `until`, the next level is used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
 };
 
-// Return the weight of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
+// Return the value of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
 // point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this, the logarithm of the
 // Gaussian along the ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
@@ -69,9 +70,9 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
         blur * blur - 0.25f * spacing * spacing, 1.0e30f};
 }
 
-// Replace `widest` by the widest mip level in `octave` that suits a variance along the ring. Rings are processed
-// inwards. In a new octave the blur of a level may be twice as large, and the search starts one level below the present
-// one.
+// Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
+// Rings are processed inwards. In a new octave the blur of a level may be twice as large; the search then starts one
+// level below the present one.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -88,8 +89,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows of a ring from the azimuth `first` to the azimuth `end`, which is excluded: it may be the first azimuth
-// of the next arc.
+// Add the rows on an arc of a ring, from the azimuth `first` to the azimuth `end`, which is excluded because it may be
+// the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -113,12 +114,12 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of rows, weighted by a Gaussian around (u, v), from the outermost ring inwards.
+// Return the sum of all rows of the table, weighted by a Gaussian around (u, v), from the outermost ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // The quadratic spline between rings blurs its coefficients by a variance of a quarter of the squared ring spacing.
-    // This variance is added to the covariance of the Gaussian.
+    // Rows are coefficients of a quadratic spline between rings, which blurs them by a variance of a quarter of the
+    // squared ring spacing. This variance is added to the covariance of the Gaussian.
     const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
     const float widest2 = mean2 + wp::sqrt(0.25f * (a - d) * (a - d) + b * b), least = NARROWEST * table.lobe_uv;
@@ -133,8 +134,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Spacing of the rings that are added, a multiple of the spacing in the table. It is smaller than the width of the
-    // Gaussian along (u, v).
+    // Distance of the rings that are added, a multiple of the distance of rings in the table. It is smaller than the
+    // width of the Gaussian along (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -158,8 +159,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const float* const rows = numbers<const float>(table.rows)
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
-        // The Gaussian covers an arc of the ring around (u, v). If it is long and narrow, it covers at most two arcs
-        // near its long axis, which are used instead if they are shorter.
+        // On a ring, the Gaussian covers an arc around the direction of (u, v). A long and narrow Gaussian also lies
+        // within at most two arcs around the directions of its long axis. These are used instead if they are shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -170,7 +171,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // The position of the arcs is rounded, so that two arcs that touch include each azimuth exactly once.
+        // The position of the arcs is rounded. Two arcs that touch then include each azimuth exactly once, in spite of
+        // rounding errors.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

@@ -14,8 +14,8 @@ struct FrameLimits {
     float lift;           // height of shadow rays' start points above the surface [radii]
 };
 
-// Shading frames of N pixels by axis. Special pixels are computed separately: their normals must be rotated towards the
-// viewer, or their tangents are parallel to the normal.
+// Shading frames of N pixels, by axis. Special pixels are only marked here and computed separately: their normals must
+// be rotated towards the viewer, or their tangents are parallel to the normal.
 template <int N>
 struct ShadingFrames {
     Batch<N> tangent[3], bitangent[3], normal[3], shadow_origin[3];
@@ -54,8 +54,8 @@ WARPDIFF_INLINE float project_tangent(
     }
     for (int c = 0; c < 3; ++c) tangent[c] -= along * normal[c];
     const float left2 = dot(tangent, tangent);
-    // If tangent and normal are nearly parallel, their difference is short and has a large relative rounding error. A
-    // second projection removes the error along the normal.
+    // If tangent and normal are nearly parallel, the perpendicular component is short and has a large relative rounding
+    // error. A second projection removes the error along the normal.
     float again = 0.0f, tangent2 = 0.0f;
     for (int c = 0; c < 3; ++c) again += tangent[c] * normal[c];
     for (int c = 0; c < 3; ++c) {
@@ -108,7 +108,7 @@ WARPDIFF_INLINE void find_frames(
     }
 }
 
-// Store one vector per pixel, and zeros for pixels that do not hit the mesh; skipping these pixels would be slower.
+// Store one vector per pixel, with zeros for pixels that do not hit the mesh. To skip these pixels would be slower.
 template <int N>
 WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {

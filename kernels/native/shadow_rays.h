@@ -1,4 +1,5 @@
-// Shadow rays to a distant light. A grid perpendicular to the light has a list of faces in each cell.
+// Shadow rays to a distant light, by a grid over the mesh as projected along the light. Each cell of the grid has a
+// list of the faces in it.
 //
 // Positions perpendicular to the light are rounded to whole numbers of steps. The test on which side of an edge a point
 // lies is then exact. kernels/shadow_rays.py makes the lists with the same rounding.
@@ -9,7 +10,7 @@
 
 namespace warpdiff {
 
-// Largest number of faces of a list that are tested together. Limit: size of local arrays.
+// Number of faces of a list that are tested together. Limit: size of local arrays.
 constexpr int LISTED = 32;
 
 // A batch of points: two coordinates perpendicular to the light [steps], height towards the light, index of the grid
@@ -30,7 +31,8 @@ struct ShadowPoints {
             const long long k = from + (i < count ? i : 0), at = 3 * k;
             const bool asks = i < count && hit[k] != 0
                 && normals[at] * towards[0] + normals[at + 1] * towards[1] + normals[at + 2] * towards[2] > facing_away;
-            // Pixels that require no test get the origin instead of their own point, which may not be finite.
+            // Pixels that require no test get the point (0, 0, 0) instead of their own point, which may be infinite or
+            // NaN.
             const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
             const double p2 = asks ? origins[at + 2] : 0.0f;
             x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * steps);
@@ -58,8 +60,9 @@ struct ShadowPoints {
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-            // A face occludes a point only if its highest corner is above the point. Otherwise rounding could let a
-            // lower face next to the point's own face occlude it.
+            // A face occludes a point only if the highest corner of the face is above the point. Without this
+            // condition, rounding errors could let a neighbour of the point's own face occlude it although the
+            // neighbour is lower.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }

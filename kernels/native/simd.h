@@ -22,7 +22,8 @@ constexpr int batch_of(int on_cpu)
     return ON_GPU ? 1 : on_cpu;
 }
 
-// A batch of N values. With N = 1 the index is the constant 0, so that the value can remain in a register.
+// A batch of N values. With N = 1 all indices are replaced by the constant 0, so that the value can remain in a
+// register.
 template <int N, class Number = float>
 struct Batch {
     Number at[N];

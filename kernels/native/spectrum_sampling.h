@@ -9,15 +9,16 @@
 
 namespace warpdiff {
 
-// Number of Gaussian weights that are computed at a time, and number of rows of coefficients whose range is computed in
-// advance.
+// First number: Gaussian weights that are computed together. Second number: rows of coefficients for which the range of
+// contributing columns is computed in advance.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
-// Range of coefficients that contribute to a point of the frequency plane, relative to the coefficient nearest to the
-// point. It is large enough for any point with the same nearest coefficient, and the same for all points.
+// Range of the coefficients that contribute to a point of the frequency plane, relative to the coefficient nearest to
+// the point. The same range is used for all points. It is therefore large enough for any position of a point around its
+// nearest coefficient.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
-    // Indices of the coefficient that is excluded, the zeroth order; −1 if none is.
+    // Row and column of the zeroth order if it is excluded from the sums; −1 otherwise.
     int excluded_y, excluded_x;
 
     template <class Table>
@@ -35,8 +36,8 @@ struct Neighbours {
     }
 };
 
-// Compute exp(−scale · x²) at TAPS distances x. They are consecutive integers from `from` on, minus the fractional part
-// of a position.
+// Compute exp(−scale · x²) at TAPS distances x: consecutive integers from `from` on, minus `beside`, the fractional
+// part of a position.
 WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
 {
     for (int i = 0; i < TAPS; ++i) {
@@ -73,7 +74,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // The integer part is subtracted in float64: positions of hundreds of coefficients would be too coarse in float32.
+    // The integer part of the position is subtracted in float64: for positions of hundreds of coefficients, float32
+    // would be too coarse.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;
@@ -100,8 +102,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Return the power at WIDTH values of κ from a weighted sum of amplitude rows. The terms of the real part precede those
-// of the imaginary part. `basis` has the values of each term at the WIDTH values of κ.
+// Return the power at WIDTH values of κ from a weighted sum of amplitude rows. In a row, the terms of the real part
+// precede those of the imaginary part. `basis` has the values of each basis function at the WIDTH values of κ.
 template <int TERMS, int WIDTH>
 WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {
@@ -116,8 +118,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals of the spectrum under the splines of three consecutive rings, to which a sample contributes. They remain in
-// registers while the sampling proceeds from ring to ring.
+// Integrals of the spectrum under the splines of three consecutive rings: a sample contributes to three of them. They
+// remain in registers while the sampling proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -155,9 +157,10 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
         ((typename Row<WIDTH>::Vector*)rows)[(long long)ring * Row<WIDTH>::VECTORS + l] = value.at[l];
 }
 
-// Compute the integrals along one azimuth at `rings` rings, and store them from the row `begin` on. A sample at the
-// frequency t is at the position (`sine` t, `cosine` t) among the coefficients. There are `divisions` samples from ring
-// to ring. The first sample is at t, and each has `ratio` times the frequency of the previous one, up to `highest`.
+// Compute the integrals of the spectrum along one azimuth at `rings` rings, and store them from the row `begin` on. A
+// sample at the frequency t is at the position (`sine` t, `cosine` t) among the coefficients. There are `divisions`
+// samples from ring to ring. The first sample is at t, and each has `ratio` times the frequency of the previous one, up
+// to `highest`.
 //
 // Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
 // values of κ before integration.

@@ -38,7 +38,7 @@ def test_render_writes_a_picture(tmp_path, capsys):
     assert "Low-rank basis" in out
 
 
-def test_render_of_files(tmp_path, fuze_path):
+def test_render_draws_a_mesh_file_with_a_height_file(tmp_path, fuze_path):
     heights = tmp_path / "h.npy"
     np.save(heights, 0.1 * np.sin(2.0 * np.pi * np.arange(32) / 32)[None, :] * np.ones((32, 1)))
     target = tmp_path / "fuze.png"
@@ -174,7 +174,7 @@ def test_info_describes_each_grating(name, monkeypatch, capsys):
     assert "hemisphere" in out
 
 
-def test_info_of_the_scan(scan_path, capsys):
+def test_info_reports_the_number_of_samples_of_a_cleaned_scan(scan_path, capsys):
     line = "info --extent-um 65 --height-range-um 0.375 --crop-um 20 --level 2 --despike --periodic --heightfield"
     assert run(line, scan_path) == 0
     assert "410 × 410 samples" in capsys.readouterr().out
@@ -264,8 +264,8 @@ def test_pixels_need_not_be_square_on_any_command(command, flag):
     (["--extent-um", "6,4.5"], "4.5 × 6 µm"), (["--extent-um", "3", "4.5"], "4.5 × 3 µm"),
 ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_of_pixels_that_are_not_square(tmp_path, capsys, words, size):
-    # With a gap there is no plan, which would take a second.
+def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
+    # A field with missing samples has no plan. It is used here because ``info`` would require a second to make a plan.
     heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
     heights[3, 4] = np.nan
     np.save(tmp_path / "a.npy", heights)
@@ -283,7 +283,7 @@ def test_a_pitch_that_is_no_number_is_refused(words, capsys):
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_of_a_text(tmp_path, capsys):
+def test_info_reads_a_text_by_its_unit_and_channel(tmp_path, capsys):
     rows = "\n".join(" ".join("NaN" if i == j else f"{20 * np.sin(i + j):.3f}" for i in range(8)) for j in range(5))
     header = "# Channel: {}\n# Width: 2 µm\n# Height: 1 µm\n"
     (tmp_path / "a.txt").write_text(f"{header.format('A')}{rows}\n{header.format('B')}{rows}\n", encoding="utf-8")
@@ -419,7 +419,7 @@ def rough(compute, *scene, **options):
 
 
 @TINY
-def test_demo_without_the_data(tmp_path, monkeypatch):
+def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
     # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
@@ -442,7 +442,7 @@ def test_demo_without_the_data(tmp_path, monkeypatch):
     [("fuze_elaphe", 10.0), *(slow(f"{each}_elaphe", 65.0) for each in ("snake", "map", "fuze")),
      slow("snake_elaphe_across", 65.0)],
 )  # fmt: skip
-def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
+def test_with_the_data_the_demonstration_draws_the_scan(name, crop_um, fuze_path, scan_path, monkeypatch):
     assert scan_path.is_file()
     cleaned = demo.cleaned_scan
     monkeypatch.setattr(demo, "cleaned_scan", lambda path: cleaned(path).cropped(crop_um))
@@ -450,7 +450,7 @@ def test_demo_with_the_data(name, crop_um, fuze_path, scan_path, monkeypatch):
     assert made.make(None).mask.any()
 
 
-def test_the_module_runs(tmp_path):
+def test_python_m_warpdiff_runs_the_command_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "warpdiff", "brdf", "--heightfield", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
         cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONIOENCODING": "utf-8"},

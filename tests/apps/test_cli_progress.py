@@ -22,7 +22,10 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def redirect(monkeypatch):
-    """Return a function that makes a new stream standard error. A fixture cannot, because pytest replaces it after."""
+    """Return a function that replaces ``sys.stderr`` by a new stream.
+
+    The test calls it, because pytest itself replaces ``sys.stderr`` between the fixtures and the test.
+    """
     monkeypatch.setattr(cli_progress, "_FIRST_S", 0.01)
     monkeypatch.setenv("COLUMNS", "80")
 
@@ -78,7 +81,7 @@ def test_short_commands_show_nothing(kind, redirect, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", [io.StringIO, Terminal])
-def test_a_closed_standard_error_ends_the_display_alone(kind, redirect):
+def test_a_closed_standard_error_ends_only_the_display(kind, redirect):
     error_stream = redirect(kind)
     error_stream.close()
     with cli_progress.CommandProgress("render") as progress:

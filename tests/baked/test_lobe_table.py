@@ -166,7 +166,8 @@ def test_the_powers_of_a_sine_add_up_to_squared_bessel_functions():
     inside = (np.abs(orders / 2.0) < baked.largest_q) & (orders != 0)
     for kappa in (1.0, 3.0):
         functions = np.array([np.interp(kappa, kappas, f) for f in baked.functions.T])
-        # A grating of one row has only order 0 along y.
+        # A grating of one row has only the order 0 along y, so that the sum over all cells is the sum over the orders
+        # along x.
         total = 4.0 * math.pi * 9.0 * float((baked.powers @ functions).sum()) * (2.0 * baked.largest_q / 256) ** 2
         argument = 2.0 * math.pi * kappa * 0.1
         assert total == pytest.approx(float(np.sum(jv(orders[inside], argument) ** 2)), rel=2e-3)
@@ -232,9 +233,10 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """The test lobes have the design width along the azimuth, and a tenth of |(u, v)| as their radial width.
+    """A polar grid interpolates lobes that have the width for which the grid is made, along the azimuth.
 
-    In tables of colours, the range of wavelengths widens lobes radially to at least this width.
+    The radial width of the test lobes is a tenth of |(u, v)|. In tables of colours, the range of wavelengths widens
+    lobes to at least this radial width.
     """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)

@@ -67,7 +67,8 @@ def test_lines_of_a_grating_have_the_colours_of_the_reference():
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="cie")
     angle = np.radians(np.linspace(-80.0, 80.0, 161))
     views = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    # Every second light is moved out of the plane of incidence by half the width of a lobe.
+    # Every second light is moved out of the plane of incidence by half the width of a lobe, to test how colours depend
+    # on v.
     aside = 0.004 * (np.arange(161) % 2)
     lights = np.stack([np.full(161, 0.3), aside, np.sqrt(1.0 - 0.09 - aside**2)], axis=1)
     scattering_vectors, gains, exact = called(heightfield, lights, views, wd.Coherence())

@@ -13,7 +13,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-DIRECTIONS = 48  # number of directions; with five wavelengths there are more than 200 points per regime
+DIRECTIONS = 48  # number of directions; five wavelengths of each give more than 200 values per regime
 
 
 def rough():
@@ -38,7 +38,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
-    """Return ρ by the direct sum, times the gain of the reference."""
+    """Return the reflectance ρ: the power |P|² by the direct sum, times the gain of the float64 reference."""
     gains = reference.gain(lights, views, source=coherence.kind == "source")
     power = direct_sum.window_power(heightfield, coherence, -lights - views, wavelengths, to_lights=lights)
     return gains[:, None] * power
@@ -49,7 +49,7 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # ``lowest`` is the cosine of the largest angle of incidence, 85°.
+    # The least cosine of directions to the light is 0.087, that of 85°.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
     # Random views would miss narrow orders. A third of the views is therefore near the mirror direction, and a third
     # near an order.
@@ -94,7 +94,10 @@ def test_colours_equal_the_direct_sum(kind, rng):
 
 
 def resonances(heightfield, lights, views, periods):
-    """Return XYZ of N periods for N → ∞: each order is a line of weight 1/N in uLx/λ; all else is dark."""
+    """Return XYZ of N replicated periods in the limit of large N.
+
+    In this limit the spectrum consists of one narrow line per order. The integral of a line over uLx/λ is 1/N.
+    """
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]
     for i, (light, view) in enumerate(zip(lights, views, strict=True)):
@@ -105,12 +108,12 @@ def resonances(heightfield, lights, views, periods):
                 at = np.array([wavelength])
                 illuminated = direct_reflectance(heightfield, light[None], view[None], at, periods)[0, 0]
                 curve = [np.interp(1e3 * wavelength, np.arange(380, 781), table[:, c]) for c in range(3)]
-                # The phase uLx/λ changes by one turn over this range of wavelengths, |dλ| = λ²/(uLx), here in nm.
+                # The phase uLx/λ changes by one turn over the wavelength range |dλ| = λ²/(uLx), here in nm.
                 result[i] += illuminated * np.array(curve) * 1e3 * wavelength**2 / (u * length) / periods.periods[1]
     return result
 
 
-def test_narrow_lines_of_many_periods(rng):
+def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
     """The reference does not miss narrow lines: with thousands of periods, it approaches the limit of many periods."""
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))
@@ -141,7 +144,7 @@ def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rn
     assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), reference.LEAST))
 
 
-def test_by_name_and_by_object(rng):
+def test_a_coherence_by_name_equals_a_coherence_object(rng):
     heightfield = fingers()
     lights, views = hemisphere(rng, 3), hemisphere(rng, 3)
     named = reference.reference_reflectance(heightfield, lights, views, "centred", 2.0, centre=(0.7, 2.9))
@@ -149,7 +152,7 @@ def test_by_name_and_by_object(rng):
     np.testing.assert_array_equal(named, reference.reference_reflectance(heightfield, lights, views, data))
 
 
-def test_a_moved_window(rng):
+def test_a_centred_window_at_another_position_equals_the_direct_sum(rng):
     heightfield = fingers()
     lights, views = hemisphere(rng, 8), hemisphere(rng, 8)
     coherence = Coherence("centred", 2.0, centre_um=(0.7, 2.9))
@@ -158,7 +161,7 @@ def test_a_moved_window(rng):
     np.testing.assert_allclose(values, exact, rtol=1e-6, atol=1e-9 * exact.max())
 
 
-def test_white():
+def test_a_flat_mirror_has_the_white_point_of_d65():
     flat = HeightField(np.zeros((4, 4)), 0.05)
     up = np.array([[0.0, 0.0, 1.0]])
     for coherence in ("averaged", Coherence("source"), Coherence("replicas", periods=(3, 2))):

@@ -23,7 +23,7 @@ PIXELS = np.argwhere(np.ones((2, 4))) + 2
 
 
 def polar_and_azimuth(height):
-    """Return two angles for all pixels of a sky: from +y, and the azimuth from −z towards +x."""
+    """Return two angles for all pixels of a sky: the polar angle from +y, and the azimuth from −z towards +x."""
     polar = (np.arange(height) + 0.5) / height * math.pi
     azimuth = ((np.arange(2 * height) + 0.5) / height - 1.0) * math.pi
     return np.meshgrid(polar, azimuth, indexing="ij")
@@ -60,7 +60,10 @@ def disc_on_sky():
 
 
 def test_a_mirror_shows_the_colours_of_the_sky():
-    """The mirror's lobe is 0.4° wide. Its mean of a sky that is linear in its angles is the value in the centre."""
+    """The sky is a linear function of its two angles.
+
+    Its mean over the mirror's lobe, 0.4° wide, is therefore its value in the mirror direction.
+    """
     polar, azimuth = polar_and_azimuth(32)
     sky = np.stack([1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar], axis=-1)
     view = wd.View.orthographic((2.0, 3.0, 1.0), (0.0, 0.0, 0.0), extent_y=0.06, width=8, height=6)

@@ -38,7 +38,7 @@ def test_changes_are_distinguished_from_noise(tmp_path):
     assert runner.compare(old, old) == ["0 of 6 figures changed by more than their noise and 10 %."]
 
 
-def test_comparing_from_the_command_line(tmp_path, capsys):
+def test_the_command_line_compares_two_runs_and_refuses_other_files(tmp_path, capsys):
     path = results(tmp_path / "a.json", one=(1.0, 1.0, 1.0))
     assert command.main(["--compare", str(path), str(path)]) == 0
     assert "0 of 1 figures changed" in capsys.readouterr().out
@@ -93,7 +93,7 @@ def test_a_subset_of_directions_is_spread_over_all():
 
 @pytest.fixture(scope="module")
 def fingers(tmp_path_factory):
-    """Return the scene with synthetic fingers, from a folder without the scan."""
+    """Return the benchmark's scene with synthetic fingers, which is used if the data folder contains no scan."""
     empty = tmp_path_factory.mktemp("empty")
     assert inputs.scan(empty) is None
     (result,) = [scene for scene in scenes(empty) if scene.name == "fingers"]

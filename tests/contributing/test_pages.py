@@ -49,7 +49,7 @@ def test_the_light_of_the_page_about_lights_works(module_of, fingers):
     assert away.xyz.max() == 0.0
 
 
-def test_the_page_about_readers(module_of, tmp_path, monkeypatch):
+def test_the_reader_of_the_page_about_readers_works(module_of, tmp_path, monkeypatch):
     monkeypatch.setattr(reader_registry, "_readers", dict(reader_registry._readers))
     module_of("add_a_reader")
     (tmp_path / "scan.foo").write_text("0.25\n0 100 200\n50 150 250\n")

@@ -80,7 +80,8 @@ def damaged(whole, rng):
     yield archive(rows=np.ones((3, 2), np.float64), step=0.25)
     yield archive(rows=np.full((2, 3), np.nan, np.float32), step=np.inf)
     for at in range(8, 40, 2):
-        # In these bytes, the headers of a ZIP archive state its version, encryption and compression.
+        # Bytes of the headers in a ZIP archive, which state its version, encryption and compression, are changed one at
+        # a time.
         for header in (b"PK\x03\x04", b"PK\x01\x02"):
             for start in (0, whole.index(b"PK")):
                 content = bytearray(whole[start:])

@@ -141,7 +141,7 @@ def two_threads():
 
 
 @pytest.mark.usefixtures("two_threads")
-def test_one_thread_within_the_context_and_all_threads_after_it():
+def test_blas_uses_one_thread_within_the_context_and_all_after_it():
     before = blas_threads()
     with single_threaded_blas():
         assert set(blas_threads()) == {1}
@@ -200,9 +200,12 @@ def taken_by_others(work):
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
-    """If threads of the linear-algebra library were active during a fork, parent or child could wait forever."""
+    """Work on large arrays uses only the calling thread, because linear algebra is limited to one thread.
+
+    If threads of the linear-algebra library were active during a fork, parent or child could wait forever.
+    """
     rough = wd.HeightField(0.01 * rng.standard_normal((200, 200)), 0.05)
-    coarse = wd.HeightField(0.01 * rng.standard_normal((20, 20)), 4.0)
+    coarse = wd.HeightField.of_known_scale(0.01 * rng.standard_normal((20, 20)), 4.0)
     tube = wd.meshes.tube(segments_along=300, segments_around=300)
     ones = np.ones((300, 400), np.float32)
     xyz = rng.random((*ones.shape, 3), np.float32)

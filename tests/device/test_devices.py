@@ -1,4 +1,4 @@
-"""Devices: the messages that Warp prints when it starts."""
+"""Messages that Warp prints when it starts. Only its warning about the driver is suppressed."""
 
 import os
 import subprocess

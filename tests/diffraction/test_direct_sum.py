@@ -89,7 +89,8 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
     # A quarter of the directions is near the mirror direction, where the reflectance is largest.
     views[::4] = views[::4] * 0.03 + lights[::4] * np.array([-1.0, -1.0, 1.0])
     if in_plane:
-        # Surfaces that are constant along y reflect only within the plane of incidence.
+        # Surfaces that are constant along y reflect only within the plane of incidence. Every second view is therefore
+        # moved into this plane.
         views[1::2, 1] = -lights[1::2, 1]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     options = {"coherence": coherence, "masking": False, "method": "direct"}

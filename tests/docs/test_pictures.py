@@ -23,7 +23,7 @@ def test_every_picture_has_a_command():
 def test_the_command_of_a_picture_exists(name, monkeypatch):
     command = MAKERS[name].split()
     if command[0] == "warpdiff":
-        # The demonstration can make its pictures of the scan from any height field.
+        # The demonstration can make its pictures of the scan from any height field, so that this test requires no scan.
         monkeypatch.setattr(demo, "cleaned_scan", lambda _path: wd.HeightField(np.zeros((4, 4)), 0.1))
         monkeypatch.setattr(demo.Path, "is_file", lambda _path: True)
         assert Path(name).stem in {picture.name for picture in demo.pictures(ROOT)}

@@ -46,7 +46,7 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # Computing time is proportional to the number of terms, so this number must be close to the argument of the series.
+    # The number of terms must be close to the series' argument x, because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 
@@ -128,7 +128,12 @@ def test_a_flat_surface_is_a_mirror(ior):
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """For a short period and grazing light, scalar theory itself violates conservation of energy by more than 5 %."""
+    """The efficiencies of a sine sum to about 1 for long periods.
+
+    For a short period and grazing light, the sum exceeds 1.05.
+
+    This violation of energy conservation is an error of scalar theory itself.
+    """
 
     def total(period, angle):
         given = wd.gratings.sinusoidal(period, 0.05), at_angle(angle), 550.0
@@ -214,7 +219,11 @@ def test_normalised_orders_are_reciprocal():
 
 @pytest.mark.parametrize("period", [2.0, 5.0, 10.0])
 def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
-    """At normal incidence the period is a whole number of wavelengths, so that a tilt of 1e-5° adds one order."""
+    """The period is a whole number of wavelengths.
+
+    A tilt of the light by 1e-5° from normal incidence therefore adds one order at the horizon, and must not change the
+    other efficiencies.
+    """
     for grating in (wd.gratings.lamellar(period, 0.125), wd.gratings.blazed(period, 0.2)):
         upright = wd.order_efficiencies(grating, (0, 0, 1), 500.0, ior=math.inf)
         tilted = wd.order_efficiencies(grating, at_angle(1e-5), 500.0, ior=math.inf)
@@ -225,7 +234,11 @@ def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
 
 @pytest.mark.parametrize("angle", [85.0, 88.0, 89.9])
 def test_a_grazing_light_stays_in_its_mirror_order(angle):
-    """The share that leaves it is at most the weight of the light; sums stay 1, and the way back has the same share."""
+    """Normalisation moves a part of the power from the mirror order of a grazing light into other orders.
+
+    This part is at most the weight of the light in the normalisation. The sum of all efficiencies stays 1, and each
+    order has the same efficiency as its reversed path.
+    """
     grating, cosine = wd.gratings.blazed(1.7, 0.2), math.cos(math.radians(angle))
     orders = wd.order_efficiencies(grating, at_angle(angle), 600.0, ior=math.inf)
     weight = 3.0 * (cosine / 0.1) ** 2 - 2.0 * (cosine / 0.1) ** 3
@@ -237,7 +250,10 @@ def test_a_grazing_light_stays_in_its_mirror_order(angle):
 
 
 def test_many_orders_do_not_jump_at_the_horizon():
-    """More than 600 orders take their factors from a grid; the tilted light has one more, along the horizon."""
+    """The energy factors of more than 600 orders are interpolated from a grid.
+
+    A tilt of the light by 1e-5° adds one order at the horizon, and must change the other efficiencies by at most 0.1 %.
+    """
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
     upright, tilted = (
         wd.order_efficiencies(heightfield, at_angle(angle), 480.0, ior=math.inf) for angle in (0.0, 1e-5)

@@ -85,7 +85,10 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """In a map, x increases from left to right, and y decreases from top to bottom."""
+    """Each pixel of a map is the mean of directions within the unit disc.
+
+    In a map, x increases from left to right, and y decreases from top to bottom.
+    """
     light = at_angle(20.0)
     plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
     image = wd.reflectance_map(line, light, size=6, samples_per_pixel=4, plan=plan)
@@ -100,7 +103,8 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The largest error of a pixel, relative to its colour or to the floor, is the error of the plan.
+    # The largest error of the pixels equals the error of the plan. Errors are relative to a pixel's colour, or to the
+    # floor f if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 
@@ -119,7 +123,9 @@ def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])
 def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
-    """A sine's mirror order is J₀²(2πd/λ) at normal incidence and view; a metal multiplies it by its reflectance."""
+    """At normal incidence and view, the zeroth order of a sine has the power J₀²(2πd/λ); a metal multiplies it by its
+    reflectance.
+    """
     depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
     grating, aluminium = wd.gratings.sinusoidal(5.0, depth, samples=512), wd.Material.metal("Al")
     options = {"coherence": wd.Coherence(kind), "tolerance": 1e-3}

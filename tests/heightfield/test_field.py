@@ -67,7 +67,7 @@ def test_flipping_reverses_one_axis() -> None:
 def test_rotation_is_counter_clockwise_seen_from_the_light() -> None:
     blaze = HeightField(gratings.blazed(2.0, 0.3, samples=8).heights_um, (0.5, 0.25))
     quarter = blaze.rotated()
-    # The blazed grating rises along x, and after the rotation along y.
+    # The blazed grating rises along x before the rotation, and along y after it.
     np.testing.assert_array_equal(quarter.heights_um[:, 0], blaze.heights_um[0])
     assert (quarter.pitch_um, quarter.size_um) == ((0.25, 0.5), (2.0, 0.5))
     assert quarter.heights_um.flags.c_contiguous
@@ -108,6 +108,6 @@ def test_missing_samples_move_with_the_others() -> None:
      (lambda f: f.resampled((0.1, 20.0)), ValueError, "pitch_um along x must be at most the size 6"),
      (lambda f: f.periods(0), ValueError, "count must be an integer, at least 1")],
 )  # fmt: skip
-def test_bad_arguments(call: Any, error: type[Exception], message: str) -> None:
+def test_invalid_arguments_are_refused_by_their_name(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         call(noise((20, 30), (0.1, 0.2)))

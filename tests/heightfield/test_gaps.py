@@ -38,7 +38,8 @@ def test_masked_and_nan_samples_are_missing() -> None:
         np.testing.assert_array_equal(field.heights_um[~GAP], heights[~GAP])
         assert field.height_range_um == np.ptp(heights[~GAP])
         assert field.rms_um == pytest.approx(np.std(heights[~GAP]))
-        # The largest slopes of the waves are 2π · 0.05 / 2.4 and 2π · 0.05 / 3.0.
+        # The heights are 0.05 · sin(2πx/2.4) · cos(2πy/3.0) in µm. Their slopes along x and y are at most 0.131 and
+        # 0.105, so that the slope is at most 0.17.
         assert 0.0 < field.mean_slope < 0.17
         assert 0.0 < field.rms_slope < 0.17
         assert f"{GAP.sum()} missing" in repr(field)

@@ -153,7 +153,9 @@ UM: dict[str, Any] = {"extent_um": 5.0}
      ("grey.png", {**SCALE, "extent_um": (1,)}, ValueError, r"extent_um must be one number or a pair"),
      ("grey.png", {"pitch_um": (1, 2, 3), "height_range_um": 1}, ValueError, r"pitch_um must be one number or a pair")],
 )  # fmt: skip
-def test_bad_files(tmp_path: Path, name: str, options: dict[str, Any], error: type[Exception], message: str) -> None:
+def test_bad_files_are_refused(
+    tmp_path: Path, name: str, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
     bad_files(tmp_path)
     with pytest.raises(error, match=message):
         HeightField.load(tmp_path / name, **options)
@@ -193,7 +195,7 @@ def test_errors_about_heights_name_their_file(tmp_path):
         HeightField.load(tmp_path / "a.npy", pitch_um=0.1)
 
 
-def test_a_registered_suffix_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_registered_reader_loads_files_of_its_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_registry, "_readers", reader_registry._readers.copy())
 
     @readers.register_reader(".spm", ".Probe")
@@ -214,7 +216,7 @@ def test_a_registered_suffix_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         HeightField.load(tmp_path / "line.probe", pitch_um=0.3)
 
 
-def test_an_extent_may_be_a_pair(tmp_path: Path) -> None:
+def test_an_extent_is_the_width_along_x_or_a_pair_of_both_sides(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", noise((4, 10)).heights_um)
     assert HeightField.load(tmp_path / "a.npy", extent_um=2.0).pitch_um == (0.2, 0.2)
     assert HeightField.load(tmp_path / "a.npy", extent_um=(2.0, 4.0)).pitch_um == (0.5, 0.4)
@@ -297,7 +299,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
      ("none/a.npz", FileNotFoundError, "path: the folder '.*none' does not exist"),
      (None, TypeError, "path must be a string or a path")],
 )  # fmt: skip
-def test_bad_paths_of_save(tmp_path: Path, name: str | None, error: type[Exception], message: str) -> None:
+def test_save_refuses_bad_paths(tmp_path: Path, name: str | None, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         noise((2, 2)).save(name if name is None else tmp_path / name)  # type: ignore[arg-type]
 

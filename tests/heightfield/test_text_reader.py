@@ -1,4 +1,7 @@
-"""Texts of heights, as programs of instruments export them: read with their units, or refused by their path."""
+"""Texts of heights, as programs of instruments export them.
+
+They are read with their units, or refused with an error that names the file.
+"""
 
 import gzip
 from dataclasses import dataclass, field
@@ -18,7 +21,7 @@ GAP = np.where(GRID == 5.5, NAN, GRID)
 
 
 def table(values: np.ndarray, separator: str = " ", decimal: str = ".", gap: str = "NaN", form: str = "{:.4g}") -> str:
-    """Rows of numbers."""
+    """Return the text of a matrix of heights: one line per row. ``gap`` is the text of missing samples."""
     lines = [
         separator.join(gap if np.isnan(value) else form.format(value).replace(".", decimal) for value in row)
         for row in values
@@ -27,7 +30,7 @@ def table(values: np.ndarray, separator: str = " ", decimal: str = ".", gap: str
 
 
 def points(values: np.ndarray, dx: float, dy: float, separator: str = " ", decimal: str = ".", gap: str = "NaN") -> str:
-    """Points x, y, z; row 0 has the largest y."""
+    """Return the text of a list of points: a line with x, y and z per sample. Row 0 of ``values`` has the largest y."""
     lines = []
     for j, row in enumerate(values):
         for i, z in enumerate(row):
@@ -52,7 +55,17 @@ KEYENCE = (
 
 @dataclass
 class Export:
-    """A text, what the caller states, and the field: heights [µm] in the order of the picture, pitch (dy, dx) [µm]."""
+    """A text file of heights with the result that ``HeightField.load`` must return.
+
+    Attributes:
+        text: Text of the file.
+        heights: Expected heights [µm], with row 0 at the top of the picture.
+        pitch: Expected sample spacing (dy, dx) [µm].
+        rows: Expected direction of the rows in the loaded field.
+        options: Arguments of ``HeightField.load``, for what the text does not state.
+        encoding: Encoding of the file.
+        suffix: Suffix of the file's name.
+    """
 
     text: str
     heights: np.ndarray = field(default_factory=lambda: 1e-3 * GRID)
@@ -66,7 +79,7 @@ class Export:
 STATED: dict[str, Any] = {"options": {"unit": "nm", "pitch_um": (0.5, 0.25)}, "rows": "down"}
 NM = GWYDDION.format(x="1 µm", y="1.5 µm", z="nm")
 EXPORTS = {
-    # Programs of instruments.
+    # Texts of certain programs for instruments.
     "Gwyddion": Export(NM + table(GRID, "\t")),
     "Gwyddion in German, Latin-1": Export(
         "# Kanal: Höhe\n# Breite: 1 µm\n# Höhe: 1,5 µm\n# Value units: nm\n" + table(GRID, "\t", ","),
@@ -101,7 +114,7 @@ EXPORTS = {
         "h=3 w=4\npixel size=2.5e-007 m\ndata unit=rad\nheight conversion factor (-> m)=1e-9\n" + table(GRID),
         pitch=(0.25, 0.25),
     ),
-    # Separators, decimal signs, encodings.
+    # Texts with different separators, decimal signs, line ends and encodings.
     "semicolons and decimal commas": Export(table(GRID, ";", ","), suffix=".csv", **STATED),
     "tabs and decimal commas": Export(table(GRID, "\t", ","), **STATED),
     "commas": Export(table(GRID, ","), suffix=".csv", **STATED),
@@ -133,7 +146,7 @@ EXPORTS = {
     "UTF-32": Export(NM + table(GRID), encoding="utf-32"),
     "µ of Greek": Export(NM.replace("µ", "μ") + table(GRID)),
     "UTF-8 that was read as Latin-1": Export(NM.replace("µ", "Âµ") + table(GRID)),
-    # Numbers and gaps.
+    # Texts with different forms of numbers and of missing samples.
     "exponents of Fortran": Export(table(1e-9 * GRID, form="{:.6E}").replace("E", "D"), options={"unit": "m",
                                    "pitch_um": (0.5, 0.25)}, rows="down"),
     "minus of typography": Export(table(GRID).replace("-", "\u2212"), **STATED),
@@ -144,7 +157,7 @@ EXPORTS = {
     "No Data in a matrix": Export(NM + table(GAP, "\t", gap="No Data"), heights=1e-3 * GAP),
     "infinity": Export(NM + table(GAP, gap="inf"), heights=1e-3 * GAP),
     "spreadsheet errors": Export(NM + table(GAP, ",", gap="#N/A"), heights=1e-3 * GAP),
-    # Labels.
+    # Matrices with labels: numbers of rows or columns, or positions, which are no heights.
     "numbers of rows": Export(
         ";a;b;c;d\n"
         + "".join(f"{k};{line}\n" for k, line in enumerate(table(np.vstack([GRID, GRID]), ";").splitlines())),
@@ -169,7 +182,7 @@ EXPORTS = {
         + "".join(f"{500 * k}\t{line}\n" for k, line in enumerate(table(TWICE[::-1], "\t").splitlines())),
         heights=1e-3 * np.vstack([GRID, GRID]), options={"unit": "nm"},
     ),
-    # Headers.
+    # Matrices below different headers, which state size, pitch or unit.
     "two numbers in one line": Export("Scan size: 1 µm x 1.5 µm\nZ unit: nm\n" + table(GRID)),
     "pixel sizes by axis": Export("dx = 0.25 um\ndy = 500 nm\nheights in nm\n" + table(GRID)),
     "unit in the key": Export("Width [nm]: 1000\nHeight (nm): 1500\nZ [nm]\n" + table(GRID)),
@@ -186,7 +199,7 @@ EXPORTS = {
         "# Width: 1 µm\n# Height: 1.5 µm\n# Value units: nm\nTrace\n" + table(GRID) + "Retrace\n" + table(2.0 * GRID)
     ),
     "statistics below": Export(NM + table(GRID) + "\nMean 4.3\nRms 1.2\n"),
-    # Points.
+    # Lists of points x, y, z in different forms.
     "points with units in brackets": Export("x (µm), y (µm), z (nm)\n" + points(GRID, 0.25, 0.5, ","), suffix=".csv"),
     "points with units in words": Export(
         "x in µm;y in µm;z in nm\n" + points(GRID, 0.25, 0.5, ";", ","), suffix=".csv"
@@ -234,7 +247,7 @@ def test_exports_are_read(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(scan.pitch_um, export.pitch, rtol=1e-4)
 
 
-# Inputs that were written after the reader was finished.
+# Texts of a validation set: they were written only after the reader was finished.
 BIG = np.round(20.0 * np.random.default_rng(5).normal(size=(6, 7)), 3)
 LINES = table(BIG, ";", form="{:.3f}").splitlines()
 INDICES = [(i, j) for j in range(6) for i in range(7)]
@@ -267,18 +280,20 @@ LATE: dict[str, tuple[str, dict[str, Any], tuple[float, float]]] = {
 
 
 @pytest.mark.parametrize("name", LATE)
-def test_headers_that_were_written_later(tmp_path: Path, name: str) -> None:
+def test_texts_of_the_validation_set_are_read(tmp_path: Path, name: str) -> None:
     header, options, pitch = LATE[name]
     lines = [f"{500 * j};{line}" for j, line in enumerate(LINES)] if name.startswith("positions w") else LINES
     (tmp_path / "a.txt").write_text(header + "\n".join(lines), encoding="utf-8")
     scan = HeightField.load(tmp_path / "a.txt", **options)
     assert scan.source is not None
-    # Positions grow upwards, and rows of pictures downwards.
+    # The matrix has row 0 at the top. If its first column states positions, those of row 0 are the smallest, so that
+    # row 0 is also the first row of the loaded field. Otherwise a field with rows "up" is in the opposite order.
     is_upright = (scan.source.rows == "up") == name.startswith("positions w")
     np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
     np.testing.assert_allclose(scan.pitch_um, pitch)
     if pitch == (0.1, 0.1):
-        # An unclear size is never guessed.
+        # The header of this text does not state the size clearly. The reader must ask the caller for it, instead of
+        # guessing.
         with pytest.raises(ValueError, match="exactly one of extent_um"):
             HeightField.load(tmp_path / "a.txt", unit=options.get("unit"))
 
@@ -293,7 +308,7 @@ POINTS = {
 
 
 @pytest.mark.parametrize("name", POINTS)
-def test_points_that_were_written_later(tmp_path: Path, name: str) -> None:
+def test_lists_of_points_of_the_validation_set_are_read(tmp_path: Path, name: str) -> None:
     header, form = POINTS[name]
     rows = [form.format(i=i, j=j, x=i - 3, y=j - 2, z=BIG[j, i]) for i, j in INDICES]
     text = "\n".join(rows)
@@ -332,7 +347,7 @@ REFUSED = {
         table(GAP, ";", gap="").replace("\n", ";\n"), "has an empty first or last column"
     ),
     "underscores": ("1_0 2_0 3_0\n4_0 5_0 6_0\n", "has no rows of numbers"),
-    # Written after the reader was finished.
+    # Texts of the validation set, which were written only after the reader was finished.
     "a matrix of columns": ("X Size\t7\nY Size\t6\n" + table(BIG.T, "\t"), "6 columns, and its header states 7"),
     "positions with a number in the corner": (
         "7;0;250;500;750;1000;1250;1500\n" + "\n".join(f"{500 * j};{line}" for j, line in enumerate(LINES)),
@@ -382,7 +397,9 @@ def test_other_texts_are_refused_by_their_path(tmp_path: Path, name: str) -> Non
      (table(GRID), {"channel": "Z"}, r"^channel must not be given: .* has one array of heights"),
      (NM + table(GRID), {"rows": "sideways"}, r"^rows must be one of 'down', 'up', got 'sideways'")],
 )  # fmt: skip
-def test_arguments_of_a_text(tmp_path: Path, text: str, options: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_for_a_text_are_refused(
+    tmp_path: Path, text: str, options: dict[str, Any], message: str
+) -> None:
     path = tmp_path / "a.txt"
     path.write_text(text, encoding="utf-8")
     with pytest.raises((ValueError, TypeError), match=message):
@@ -402,7 +419,7 @@ def test_a_pitch_that_agrees_with_the_file_is_accepted(tmp_path: Path) -> None:
         assert HeightField.load(tmp_path / "a.txt", **options).pitch_um == (0.5, 0.25)
 
 
-def test_channels_of_a_text(tmp_path: Path) -> None:
+def test_each_channel_of_a_text_is_listed_and_can_be_loaded(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     second = NM.replace("Channel: Z", "Channel: Retrace") + table(2.0 * GRID)
     path.write_text(NM + table(GRID) + "\n" + second + "\n" + NM + table(3.0 * GRID), encoding="utf-8")
@@ -434,14 +451,14 @@ def test_rows_of_a_text_go_down_or_up(tmp_path: Path, rows: Any) -> None:
     assert scan.flipped("y").source is scan.rotated().source is None
 
 
-def test_compressed_texts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compressed_texts_are_read_up_to_a_limit_of_their_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.txt.gz"
     path.write_bytes(gzip.compress((NM + table(GRID)).encode()))
     np.testing.assert_allclose(HeightField.load(path).heights_um[::-1], 1e-3 * GRID)
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(ValueError, match=r"^path: .*a\.txt\.gz' cannot be read: its compressed data are damaged"):
         HeightField.load(path)
-    # It may expand a thousandfold.
+    # A compressed file can be a thousand times smaller than its text. The reader stops at a limit of the text.
     path.write_bytes(gzip.compress(b"1 2 3\n" * 1_000_000))
     monkeypatch.setattr("warpdiff.heightfield.readers.text_table.MOST_BYTES", 100_000)
     with pytest.raises(ValueError, match=r"^path: .*a\.txt\.gz' has more than 100000 bytes of text; save it as \.npy"):

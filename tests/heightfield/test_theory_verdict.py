@@ -1,4 +1,4 @@
-"""The verdict on scalar diffraction: rigorous solutions, closed forms, reasons, and the calls that state it."""
+"""Verdicts on scalar diffraction, compared with rigorous solutions and closed forms, and calls that report them."""
 
 import json
 import math
@@ -26,7 +26,7 @@ USUAL = {
 
 @pytest.mark.parametrize("energy", [None, "stam"])
 def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
-    """Every thirteenth grating of 748; bench/reproduce/theory_verdict judges all of them."""
+    """Every thirteenth of 748 gratings is judged here. ``bench/reproduce/theory_verdict.py`` judges all of them."""
     for name, shares in judged(energy, step=13).items():
         if name.endswith("all"):
             assert shares.wrong_of_reliable <= 0.025, name
@@ -41,7 +41,10 @@ def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, make):
-    """Where grooves are no deeper than a quarter of a wavelength."""
+    """Normalised efficiencies of mirror gratings are compared with those of Stam's gain, for shallow grooves.
+
+    The depths are at most a quarter of the wavelength.
+    """
     stored = json.loads(STORED.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
     errors = []
@@ -49,7 +52,7 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
         for j, depth in enumerate(stored["depths"]):
             for angle in stored["angles_deg"]:
                 first, *efficiencies = next(rows)
-                # Some of them are enough here.
+                # To save time, only every third period, two depths and oblique incidence are tested.
                 if i % 3 or j not in (2, 5) or angle == 0.0:
                     continue
                 heightfield = make(period, depth)
@@ -66,11 +69,15 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
 
 
 def test_estimates_of_a_sine_are_their_closed_forms():
-    """Slope πd/(√2 P); narrow light 1 − Σ J_m²(πd/λ) over |m| < P/2λ; depth (4πs/λ)² λ/P with s² = d²/8."""
+    """For a sine of period P and depth d, each reason of the verdict has an estimate in closed form.
+
+    "steep" is proportional to the root mean square slope πd/(√2 P). "narrow" is proportional to 1 − Σ J_m²(πd/λ) over
+    |m| < P/2λ. "deep" is proportional to (4πs/λ)² λ/P, with the mean square height s² = d²/8.
+    """
     period, depth, wavelength = 3.0, 0.3, 0.5
     errors = theory_verdict.errors_of(wd.gratings.sinusoidal(period, depth, samples=600), wavelength)
     slope = math.pi * depth / (math.sqrt(2.0) * period)
-    orders = np.arange(-3, 4)  # those with |m| λ/P at most 0.5
+    orders = np.arange(-3, 4)  # orders m with |m| λ/P at most 0.5
     narrow = 1.0 - np.sum(special.jv(orders, math.pi * depth / wavelength) ** 2)
     deep = 16.0 * math.pi**2 * depth**2 / 8.0 / (wavelength * period)
     assert errors["steep"] == pytest.approx(0.22 * slope, rel=1e-6)
@@ -79,8 +86,12 @@ def test_estimates_of_a_sine_are_their_closed_forms():
     assert errors["undersampled"] == 0.0
 
 
-def test_sums_of_heights_are_those_of_the_orders():
-    """Mirrors and glass in two dimensions, for light along both axes; no order is near the horizon."""
+def test_the_energy_deviation_of_heights_equals_that_of_the_sum_of_orders():
+    """The deviation of the sum of all order efficiencies from the reflected power is estimated from the heights alone.
+
+    The estimate must equal the largest deviation over twelve light directions, for a mirror and for glass. No order is
+    near the horizon.
+    """
     heightfield = wd.gratings.bumps(spacing_um=(1.53, 1.37), height_um=0.15)
     worst = [0.0, 0.0]
     for angle in (0.0, 30.0, 60.0):
@@ -95,14 +106,14 @@ def test_sums_of_heights_are_those_of_the_orders():
     assert theory_verdict.energy_deviations(heightfield, 0.55) == pytest.approx(worst, rel=1e-3)
 
 
-def test_a_flat_surface_is_right():
+def test_a_flat_surface_has_an_estimated_error_of_0():
     verdict = wd.HeightField([[0.2, 0.2]], 1.0).summary().verdict
     assert verdict.error == 0.0
     assert str(verdict) == "reliable at 550 nm: orders may be wrong by 0 % of the reflected power"
 
 
-def test_the_verdict_does_not_depend_on_samples_size_or_position():
-    """A field of many periods, which is cut and thinned, has the verdict of one period."""
+def test_the_verdict_does_not_depend_on_pitch_size_position_or_gaps():
+    """A field of 20 periods, shifted and raised, with one missing sample, has about the same verdict as one period."""
     single = verdict_on(wd.gratings.bumps(spacing_um=(2.0, 1.5), height_um=0.2)).error
     one = wd.gratings.bumps(spacing_um=(2.0, 1.5), height_um=0.2, pitch_um=0.025)
     many = wd.HeightField(np.roll(np.tile(one.heights_um, (4, 5)), (7, 11), (0, 1)) + 5.0, one.pitch_um)
@@ -129,7 +140,10 @@ def test_each_reason_is_named(reason):
 
 
 def test_a_wall_is_not_undersampled():
-    """One step of any height is represented by two samples; a slope of such steps is not."""
+    """A vertical wall lies between two samples, and does not count as undersampled, whatever its height.
+
+    A slope with such steps between all samples does.
+    """
     for depth in (0.3, 3.0):
         assert theory_verdict._undersampled_share(wd.gratings.lamellar(5.0, depth), 0.55) == 0.0
     assert theory_verdict._undersampled_share(wd.gratings.blazed(2.0, 6.0, samples=24), 0.55) > 0.4
@@ -147,8 +161,11 @@ def test_usual_surfaces_are_qualitative_and_not_warned_of(name):
 
 
 @pytest.mark.parametrize("call", ["plan", "reflectance", "shade", "order_efficiencies"])
-def test_calls_warn_in_the_same_words(call):
-    """The deep grating is invalid by its heights; the words name grade, wavelength, error, reason and remedy."""
+def test_all_calls_warn_in_the_words_of_the_verdict(call):
+    """The heights alone make the verdict on this deep grating invalid.
+
+    Each call must warn with grade, wavelength, error and reason.
+    """
     heightfield = wd.gratings.sinusoidal(1.0, 5.0)
     tube = wd.meshes.tube(segments_along=12, segments_around=12)
     light, view = wd.DirectionalLight((0.1, 0.9, 1.2)), wd.View.fit(tube, width=8, height=6)
@@ -167,7 +184,7 @@ def test_calls_warn_in_the_same_words(call):
     assert f"scalar diffraction is {heightfield.summary().verdict}".startswith(words)
 
 
-def test_orders_state_the_worst_of_their_wavelengths_and_their_sum():
+def test_orders_report_the_worst_verdict_of_their_wavelengths_and_their_sum():
     grating = wd.gratings.sinusoidal(2.9, 0.55)
     with pytest.warns(
         wd.WarpdiffWarning, match=r"the orders sum to 0\.743 times that power\): use positions of colours"
@@ -185,7 +202,7 @@ def test_orders_state_the_worst_of_their_wavelengths_and_their_sum():
     assert mirror.verdict.error < stam.verdict.error
 
 
-def test_a_plan_keeps_its_verdict_in_files(tmp_path):
+def test_a_plan_file_restores_the_verdict(tmp_path):
     plan = wd.plan(wd.gratings.lamellar(2.0, 0.25), UP, UP)
     assert wd.Plan.load(plan.save(tmp_path / "plan.json")).theory == plan.theory
     assert plan.theory == TheoryVerdict(plan.scalar_error, plan.scalar_reason)
@@ -193,7 +210,7 @@ def test_a_plan_keeps_its_verdict_in_files(tmp_path):
 
 
 def test_spectra_are_judged_at_their_own_wavelengths():
-    """A relief that is invalid for visible light is not for waves of ten times the length."""
+    """A relief whose verdict is invalid for visible light is qualitative at a wavelength ten times as long."""
     grating = wd.gratings.sinusoidal(40.0, 6.0, samples=2000)
     assert theory_verdict.theory_wavelength_nm(300.0, 700.0) == 550.0
     assert theory_verdict.theory_wavelength_nm(3000.0, 9000.0) == 3000.0

@@ -1,4 +1,7 @@
-"""Files of instruments by SurfaceTopography, and its objects. Tests with the library itself: ``make test-scans``."""
+"""Files of instruments, read by the library SurfaceTopography, and objects of this library.
+
+Most tests use a replacement for the library. ``make test-scans`` also runs tests with the library itself.
+"""
 
 import struct
 import sys
@@ -14,12 +17,13 @@ from conftest import write_image
 from warpdiff.heightfield.field import HeightField
 from warpdiff.heightfield.readers import reader_registry, topography_reader
 
-# Heights in the order of the picture, 2 rows of 3 samples; the library's arrays are their transpose.
+# Heights in the order of the picture: 2 rows of 3 samples, row 0 at the top. SurfaceTopography's arrays are their
+# transpose.
 PICTURE_NM = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 60.0]])
 
 
 def topography(**values: Any) -> SimpleNamespace:
-    """A map as the library returns it."""
+    """Return an object with the attributes of a map that SurfaceTopography reads. ``values`` replaces some of them."""
     known: dict[str, Any] = {
         "heights": lambda: PICTURE_NM.T, "physical_sizes": (600.0, 800.0), "unit": "nm", "dim": 2,
         "info": {"instrument": {"name": "Probe", "serial": None}, "raw_metadata": {"long": "text"}},
@@ -28,7 +32,7 @@ def topography(**values: Any) -> SimpleNamespace:
 
 
 class Channel:
-    """A channel of a file."""
+    """Replacement for a channel of a file, as SurfaceTopography describes it."""
 
     def __init__(self, name: str, index: int, **values: Any) -> None:
         self.name, self.index, self.unit, self.data_unit = name, index, "nm", "nm"
@@ -44,7 +48,10 @@ class Channel:
 
 @pytest.fixture
 def library(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """Replace the library by a function of channels, which writes a file."""
+    """Return a function that replaces SurfaceTopography by one that finds the given channels in any file.
+
+    The function returns the path of such a file.
+    """
 
     def of(*channels: Channel, default: int = 0, error: Exception | None = None) -> Path:
         def open_topography(path: str, format: str) -> SimpleNamespace:  # noqa: A002 (the name of the library)
@@ -143,12 +150,14 @@ def test_without_the_library_the_error_names_the_extra(tmp_path: Path, monkeypat
      ({"heights": lambda: np.full((3, 2), 1e30)}, ValueError, "topography: heights_um must lie within"),
      ({"heights": lambda: np.zeros((0, 3))}, ValueError, r"must have heights on a grid, got shape \(0, 3\)")],
 )  # fmt: skip
-def test_topographies_that_are_no_maps(values: dict[str, Any], error: type[Exception], message: str) -> None:
+def test_topographies_that_are_no_maps_are_refused(
+    values: dict[str, Any], error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         HeightField.from_topography(topography(**values))
 
 
-def test_other_objects_are_no_topographies() -> None:
+def test_objects_that_are_no_topographies_are_refused() -> None:
     with pytest.raises(TypeError, match="topography must be a topography of SurfaceTopography, got ndarray"):
         HeightField.from_topography(np.zeros((2, 3)))
     with pytest.raises(ValueError, match="rows must be one of 'down', 'up'"):
@@ -156,7 +165,10 @@ def test_other_objects_are_no_topographies() -> None:
 
 
 def tiff(order: str, tag: int) -> bytes:
-    """A TIFF file with a directory of one tag."""
+    """Return the bytes of a TIFF file with a single tag, in the given byte order.
+
+    The tag identifies the program that wrote the file.
+    """
     magic = {"<": b"II*\0", ">": b"MM\0*"}[order]
     return magic + struct.pack(f"{order}IHHHIII", 8, 1, tag, 4, 1, 0, 0)
 
@@ -196,7 +208,7 @@ def test_image_files_of_any_suffix_are_read(tmp_path: Path) -> None:
 
 
 def wsxm(samples: np.ndarray) -> bytes:
-    """A file of WSxM: its samples begin at the lower right corner."""
+    """Return the bytes of a file of the program WSxM, which stores the sample in the lower right corner first."""
     ny, nx = samples.shape
     lines = (
         "[Control]\r\n\r\n    X Amplitude: 0.6 um\r\n    Y Amplitude: 0.8 um\r\n    Z Gain: 1\r\n\r\n"
@@ -211,9 +223,9 @@ def wsxm(samples: np.ndarray) -> bytes:
 
 @pytest.mark.scans
 class TestTheLibraryItself:
-    """Files that it reads or writes."""
+    """Files that SurfaceTopography itself reads, and its own objects."""
 
-    def test_a_file_of_wsxm(self, tmp_path: Path) -> None:
+    def test_a_file_of_wsxm_is_read_and_a_truncated_one_refused(self, tmp_path: Path) -> None:
         (tmp_path / "a.stp").write_bytes(wsxm(PICTURE_NM))
         scan = HeightField.load(tmp_path / "a.stp")
         np.testing.assert_allclose(scan.heights_um[::-1], 1e-3 * PICTURE_NM)
@@ -222,7 +234,7 @@ class TestTheLibraryItself:
         with pytest.raises(ValueError, match=r"^path: .*a\.stp' cannot be read as a file of WSXM \("):
             HeightField.load(tmp_path / "a.stp")
 
-    def test_a_text_of_iso_25178(self, tmp_path: Path) -> None:
+    def test_a_text_of_iso_25178_is_read(self, tmp_path: Path) -> None:
         header = (
             "aISO-1.0\nManufacID   = A\nCreateDate  = 040120100853\nModDate     = 050320101353\nNumPoints   = 3\n"
             "NumProfiles = 2\nXscale      = 2.0E-7\nYscale      = 4.0E-7\nZscale      = 1.0E-9\nZresolution = 1.0E-10\n"
@@ -233,7 +245,7 @@ class TestTheLibraryItself:
         np.testing.assert_allclose(scan.heights_um[::-1], 1e-3 * PICTURE_NM)
         np.testing.assert_allclose(scan.pitch_um, (0.4, 0.2))
 
-    def test_its_objects(self) -> None:
+    def test_a_map_of_the_library_is_converted_and_a_line_scan_refused(self) -> None:
         from SurfaceTopography import Topography, UniformLineScan
 
         scan = HeightField.from_topography(Topography(PICTURE_NM.T, (600.0, 800.0), unit="nm"))
@@ -242,7 +254,7 @@ class TestTheLibraryItself:
         with pytest.raises(ValueError, match="topography must be a map"):
             HeightField.from_topography(UniformLineScan(PICTURE_NM[0], 600.0, unit="nm"))
 
-    def test_every_format_is_one_of_the_library(self) -> None:
+    def test_every_listed_format_exists_in_the_library(self) -> None:
         from SurfaceTopography.IO import lookup_reader_by_format
 
         for _, name, suffixes, _ in topography_reader._FORMATS:

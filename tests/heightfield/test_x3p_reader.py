@@ -1,4 +1,4 @@
-"""Surfaces in .x3p files: right, tolerant of what writers get wrong, bounded, and refused by their path."""
+"""Surfaces in .x3p files: valid files, frequent mistakes of writers, limits of size, and errors that name the file."""
 
 import math
 import zipfile
@@ -16,7 +16,7 @@ TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 def header(**texts: Any) -> str:
-    """The XML header of a surface of 5 × 3 samples."""
+    """Return the XML header of a surface of 5 × 3 samples. ``texts`` replaces some of its entries."""
     known = {
         "kind": "SUR", "type": "D", "x": "2.5e-7", "y": "5e-7", "axis": "I", "z": "", "nx": 5, "ny": 3, "nz": "1",
         "data": "<DataLink><PointDataLink>bindata/data.bin</PointDataLink></DataLink>", "before": "", "p": "p:",
@@ -35,7 +35,7 @@ def header(**texts: Any) -> str:
 
 
 def write(path: Path, xml: str, data: bytes | None = None, folder: str = "", **members: bytes) -> Path:
-    """Write an archive."""
+    """Write an .x3p file: a ZIP archive of the header, the heights and further members."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(f"{folder}main.xml", xml)
         archive.writestr("__MACOSX/._main.xml", b"\0\1")
@@ -46,7 +46,7 @@ def write(path: Path, xml: str, data: bytes | None = None, folder: str = "", **m
 
 
 @pytest.mark.parametrize("letter", TYPES)
-def test_heights_of_every_type(tmp_path: Path, letter: str) -> None:
+def test_heights_of_every_number_type_are_read(tmp_path: Path, letter: str) -> None:
     factor = 1e-9 if letter in "IL" else 1.0
     z = "<Increment>1e-9</Increment><Offset>2e-9</Offset>" if letter in "IL" else "<Increment>7</Increment>"
     data = np.round((HEIGHTS_M - (2e-9 if letter in "IL" else 0.0)) / factor, 15).astype(TYPES[letter]).tobytes()
@@ -63,12 +63,12 @@ def test_heights_of_every_type(tmp_path: Path, letter: str) -> None:
 @pytest.mark.parametrize(("name", "options"), [
     ("a.x3p", {"folder": "scan/"}), ("a.zip", {}), ("a.X3P", {}), ("a", {}),
 ])  # fmt: skip
-def test_folders_and_suffixes(tmp_path: Path, name: str, options: dict[str, Any]) -> None:
+def test_subfolders_and_other_suffixes_are_read(tmp_path: Path, name: str, options: dict[str, Any]) -> None:
     scan = HeightField.load(write(tmp_path / name, header(p=""), **options))
     np.testing.assert_allclose(scan.heights_um[::-1], 1e6 * HEIGHTS_M)
 
 
-def test_missing_samples_by_a_mask_by_nan_and_by_infinity(tmp_path: Path) -> None:
+def test_masked_nan_and_infinite_samples_are_missing(tmp_path: Path) -> None:
     heights = HEIGHTS_M.copy()
     heights[0, 1], heights[1, 1] = math.inf, math.nan
     link = (
@@ -83,7 +83,7 @@ def test_missing_samples_by_a_mask_by_nan_and_by_infinity(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("form", ["{z}", "{x};{y};{z}", "{x}, {y}, {z}"])
-def test_heights_in_the_header(tmp_path: Path, form: str) -> None:
+def test_heights_within_the_header_are_read(tmp_path: Path, form: str) -> None:
     texts = [form.format(x=k % 5, y=k // 5, z=z) for k, z in enumerate(HEIGHTS_M.ravel())]
     texts[7] = ""
     data = "<DataList>" + "".join(f"<Datum>{text}</Datum>" for text in texts) + "</DataList>"
@@ -124,7 +124,7 @@ def test_other_archives_are_refused_by_their_path(tmp_path: Path, name: str) -> 
         HeightField.load(path)
 
 
-def test_files_that_are_no_archive(tmp_path: Path) -> None:
+def test_files_that_are_no_archive_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.x3p").write_bytes(b"PK\x03\x04 no archive")
     with pytest.raises(ValueError, match=r"^path: .*a\.x3p' cannot be read as \.x3p \(it is no zip archive"):
         HeightField.load(tmp_path / "a.x3p")
@@ -139,7 +139,7 @@ def test_members_that_expand_without_limit_are_not_expanded(tmp_path: Path, monk
     path = write(tmp_path / "a.x3p", header() + 20_000 * " ")
     with pytest.raises(ValueError, match=r"main\.xml is larger than 10000 bytes"):
         HeightField.load(path)
-    # As many bytes are read as the header states samples.
+    # The member with the heights is 10 MB too long. Only the bytes of the samples that the header states are read.
     scan = HeightField.load(write(tmp_path / "b.x3p", header(), HEIGHTS_M.tobytes() + bytes(10_000_000)))
     np.testing.assert_allclose(scan.heights_um[::-1], 1e6 * HEIGHTS_M)
     with pytest.raises(MemoryError, match=r"^path: .*c\.x3p' of 2000000000 × 2000000000 samples requires"):

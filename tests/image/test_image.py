@@ -86,7 +86,7 @@ def test_exr_is_scaled_by_an_explicit_exposure(image, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["exr", "png"])
-def test_metadata(image, suffix, tmp_path):
+def test_files_of_pictures_contain_package_plan_report_and_exposure(image, suffix, tmp_path):
     spec, _ = read(image.save(tmp_path / f"a.{suffix}", exposure=2.5))
     # In some formats OpenImageIO appends its own name to that of the package.
     assert spec.getattribute("Software").startswith("warpdiff")
@@ -173,7 +173,7 @@ def test_display_p3_is_marked_by_a_chunk_of_the_png(image, tmp_path):
     assert b"cICP" not in image.save(tmp_path / "a.png").read_bytes()
 
 
-def test_exposures_in_stops_and_from_another_picture(image):
+def test_an_exposure_may_be_in_stops_or_from_another_picture(image):
     brighter = dataclasses.replace(image, xyz=4.0 * image.xyz)
     np.testing.assert_allclose(brighter.display(exposure=0.25), image.display(exposure=1.0), atol=1e-6)
     np.testing.assert_allclose(image.display(exposure_stops=2.0), brighter.display(exposure_from=image), atol=1e-5)

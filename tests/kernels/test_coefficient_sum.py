@@ -39,7 +39,10 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
 
 
 def test_reflectances_of_a_material_are_bilinear(rng):
-    """A table of a bilinear function of angle and wavelength is interpolated exactly, also at the ends of both axes."""
+    """A table of reflectances is interpolated between angles and wavelengths.
+
+    Interpolation of a bilinear function must be exact, also at the ends of both axes.
+    """
 
     def reflectance(row, column):
         return 0.1 + 0.05 * row + 0.02 * column + 0.01 * row * column

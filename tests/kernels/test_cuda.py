@@ -24,7 +24,7 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# The slow tests also compile the kernels that every picture launches for the Ampere architecture (sm_80).
+# For the Ampere architecture (sm_80), the slow tests compile only the kernels that every picture launches.
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.
@@ -160,7 +160,8 @@ def test_shade_equals_that_of_the_cpu(cuda):
     view = wd.View((0.0, 0.0, 8.0), (0.0, 0.0, 0.0), width=64, height=48)
     expected = wd.shade(mesh, heightfield, light, view, coherence=coherence)
     result = wd.shade(mesh, heightfield, light, view, device=cuda, plan=expected.plan)
-    # Rounding decides whether a ray through the edge of a face hits the face, so some pixels may differ.
+    # Some pixels may differ between GPU and CPU, because rounding decides whether a ray through the edge of a face hits
+    # the face.
     assert np.mean(result.mask != expected.mask) < 0.01
     both = result.mask & expected.mask
     assert np.percentile(relative_errors(result.xyz[both], expected.xyz[both]), 99.0) < 1e-2

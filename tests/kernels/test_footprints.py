@@ -71,8 +71,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In so small a picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits
-    # the accuracy of footprints.
+    # In a small picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits the
+    # accuracy of footprints.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -174,9 +174,9 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Compare footprints that include all azimuths, because they are centred close to the mirror direction.
+    """Compare look-ups of footprints close to the mirror direction with means over points.
 
-    Their centres are 0 to 3 standard deviations of the footprint away from it.
+    These footprints include all azimuths. Their centres are 0 to 3 standard deviations away from the mirror direction.
     """
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 16
@@ -199,9 +199,10 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 
 
 def test_a_wide_footprint_weights_each_ring_by_its_area():
-    """Fill the table with a narrow Gaussian of |(u, v)|, and compute its mean over a wide Gaussian footprint.
+    """Compare a look-up of a wide footprint with a closed form, for a table with a narrow Gaussian of |(u, v)|.
 
-    Both are centred on the mirror direction. Near it, look-ups of wide footprints skip every second ring.
+    The footprint, a wide Gaussian, and the narrow Gaussian are both centred on the mirror direction. Near it, look-ups
+    of wide footprints skip every second ring.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)
@@ -288,7 +289,8 @@ def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth
     at = [(hit % 48 + 0.5 + x, hit // 48 + 0.5 + y) for x, y in ((step, 0), (-step, 0), (0, step), (0, -step))]
     right, left, below, above = (seen_by(surface, camera, LIGHT, face, *other, smooth=smooth) for other in at)
     expected = deviation / (2.0 * step) * np.concatenate([right - left, below - above], axis=1)
-    # At grazing view, kernels tilt normals towards the viewer, so derivatives of (u, v) are discontinuous.
+    # Pixels viewed at grazing angles are excluded. There kernels tilt normals towards the viewer, which makes
+    # derivatives of (u, v) discontinuous.
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200

@@ -87,7 +87,7 @@ def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_ra
     half, width, height, deviation = np.array([0.2, 0.15]), 16, 12, 0.5
 
     def met(x, y):
-        """Return the intersection of the ray at a picture position with the plane, and the direction to the camera."""
+        """Return where the ray at a picture position meets the plane of the face, and the direction to the camera."""
         across = x * right + y * up
         origin, along = (eye + across, -back) if orthographic else (eye, across - back)
         return origin + along * (plane @ (corners[0] - origin)) / (plane @ along), -along / np.linalg.norm(along)

@@ -108,7 +108,8 @@ def test_hits_and_shading_frames_equal_brute_force(scene, covers, smooth, reques
     vertices = world(surface)
     t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
 
-    # Rounding to float32 decides which face a ray through an edge hits. The hit point must be the same for both faces.
+    # For a ray through an edge, rounding to float32 decides which face it hits. Faces are compared for all other rays;
+    # the distance of the hit point is compared for all rays.
     edge = margin < 1e-5
     assert np.count_nonzero(edge) < 0.005 * len(edge)
     sure = ~edge
@@ -213,7 +214,8 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # Rounding decides which of two faces a ray through their common edge hits, but the ray must hit one.
+    # If a ray passes through the common edge of two faces, rounding decides which of them it hits. It must hit one, and
+    # only a few pixels may show different faces.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -277,7 +279,7 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
-    # Rounding decides which face a ray through an edge hits.
+    # If a ray passes through an edge, rounding decides which face it hits. A few cells may therefore have another face.
     assert np.mean(face != face_by_rays) < 2e-3
     same = (face == face_by_rays) & (face >= 0)
     assert np.count_nonzero(same) > 200
@@ -335,9 +337,11 @@ def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
     np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
     assert abs(np.corrcoef(flat.T)[0, 1]) < 0.01
-    # The samples have low discrepancy: the mean of 16 is much closer to 0 than for independent samples (σ / 4).
+    # The samples have low discrepancy: the mean of 16 samples is much closer to 0 than for independent samples, whose
+    # mean has a standard deviation of σ / 4.
     assert all_of_them.mean(axis=0).std() < 0.5 * std / 4.0
-    # The sample pattern is rotated differently in each pixel and for each seed.
+    # The sample pattern is rotated differently in each pixel and for each seed, so that samples of neighbouring pixels,
+    # and those of two seeds, are uncorrelated.
     assert abs(np.corrcoef(all_of_them[0, :-1, 0], all_of_them[0, 1:, 0])[0, 1]) < 0.1
     assert np.mean(offsets(0, 16, seed=1) == all_of_them[0]) < 0.01
 
@@ -396,7 +400,7 @@ def test_textures_are_bilinear_and_periodic_with_row_0_at_the_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
-    # The view is chosen so that pixel centres coincide with texel centres.
+    # The view is chosen so that pixel centres coincide with texel centres, and each pixel shows one texel.
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
     # After a shift of the texture by half a texel, each pixel shows the mean of four texels, also across the border.
@@ -417,7 +421,7 @@ def shadow_rays(
     mesh_id: wp.uint64,
     origins: wp.array(dtype=wp.vec3f),
     direction: wp.vec3f,
-    # Out:
+    # 1 for each ray that hits a face, else 0, written by this kernel.
     occluded_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()
@@ -442,7 +446,7 @@ def test_smooth_shading_has_no_jagged_terminator():
     illuminated = np.sum(got["normal"][hit] * direction, axis=1) > 0.0
     origins = got["shadow_origin"][hit]
     assert np.mean(shadowed(scene, origins[illuminated], direction)) < 0.005
-    # Points on the half of a sphere opposite to the light are in its own shadow.
+    # Points on the half of a sphere opposite to the light are in the sphere's own shadow.
     dark = np.sum(got["normal"][hit] * direction, axis=1) < -0.3
     assert np.all(shadowed(scene, origins[dark], direction))
 

@@ -105,7 +105,7 @@ def test_shadows_equal_brute_force(make, light, rng):
     origins = points_on(surface, light, 600, rng)
     rays = np.tile(light, (len(origins), 1))
     t, _, _, margin = intersect(origins.astype(float), rays, surface.vertices.astype(float), surface.faces, 64)
-    # Rounding decides whether a ray that grazes an edge hits the face.
+    # Rays that pass near an edge are excluded, because rounding decides whether they hit the face.
     sure = margin > 1e-4
     assert np.count_nonzero(sure) > 0.99 * len(sure)
     for grid in (grid_of(surface, scene, light), occluder_grid.no_grid(scene)):

@@ -14,7 +14,10 @@ def array(values, dtype):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("is_base", [True, False])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
-    """Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark."""
+    """Filtered sums over the cells of a subdivided pixel equal explicit sums.
+
+    Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark.
+    """
     across = 2**level
     weights = rng.uniform(size=(3, across))
     for cell in range(across**2):
@@ -49,7 +52,10 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
-    """Pixel 5 of 9 pixels is subdivided. Cells that miss the mesh, here one whole block, do not add to the variance."""
+    """The scatter of a subdivided pixel equals the one computed explicitly from the means of 16 blocks of its cells.
+
+    Cells that miss the mesh do not add to the variance; here they include one whole block.
+    """
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
     hit[: across // 4, : across // 4] = False
@@ -165,7 +171,7 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
     wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
-    # The first and the last pixel are outside of the ranges of both threads, so they must not change.
+    # Two threads process the pixels 1 to 10. The pixels 0 and 11 are outside of their ranges and must not change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)

@@ -53,7 +53,10 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
 
 @pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
 def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
-    """The sun has a diameter of 0.53°, sky pixels are 0.35° wide, and 3 % of the extracted light is the sun's glow."""
+    """The sun that is extracted from the map has the power, width and position with which the sky was made.
+
+    The sun has a diameter of 0.53°, and sky pixels are 0.35° wide. Of the extracted light, 3 % is the sun's glow.
+    """
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)
     (sun,) = extract_suns(sky.radiance_rgb)[1]

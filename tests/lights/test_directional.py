@@ -23,7 +23,7 @@ def test_the_direction_to_the_light_is_normalised():
      ({"to_light": None}, TypeError, "to_light must be an array"),
      ({"illuminant": 65}, TypeError, "illuminant must be the name")],
 )  # fmt: skip
-def test_bad_lights(changed, error, message):
+def test_invalid_arguments_of_a_light_are_refused(changed, error, message):
     arguments = {"to_light": (0, 0, 1)} | changed
     with pytest.raises(error, match=message):
         DirectionalLight(arguments.pop("to_light"), **arguments)

@@ -138,8 +138,8 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The plan of ``wide`` covers the directions of one picture, but the renderer's table covers the hemisphere. Colours
-    # differ slightly.
+    # The picture ``wide`` has a table for the directions of that picture, but the renderer has a table for the whole
+    # hemisphere. Their colours differ slightly.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 

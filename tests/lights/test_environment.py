@@ -184,7 +184,7 @@ def test_a_sky_is_visible_behind_a_picture(square):
         picture.display(background=np.ones((4, 4, 3)))
 
 
-def test_files_are_read_and_refused(tmp_path, square):
+def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, square):
     given = np.random.default_rng(7).random((8, 16, 3)).astype(np.float32)
     for name, pixels in {"sky.exr": given, "dark.exr": 0.0 * given, "nan.exr": given * math.nan}.items():
         write_image(tmp_path / name, pixels)
@@ -251,7 +251,7 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # These sums over directions have a noise of 2 %, which the limits below include.
+    # The reference, a sum over directions, has a noise of 2 %, which the limits below include.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}

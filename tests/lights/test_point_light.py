@@ -64,7 +64,8 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
         assert image.xyz[1, 1, 1] == pytest.approx(luminance, rel=1e-2)
-    # The pigment's brightness, too, decreases with the square of the distance from the light.
+    # The brightness of the pigment decreases with the square of the distance from the light, like that of the
+    # diffracted light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])
@@ -120,7 +121,7 @@ def test_shadow_rays_stop_at_the_light(fingers):
 
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
-def test_a_renderer_moves_a_light_from_afar_to_a_place(fingers):
+def test_a_renderer_may_replace_a_directional_light_by_a_point_light(fingers):
     light = wd.PointLight((0.3, -0.2, 0.9))
     options = OPTIONS | {"refine": False}
     renderer = wd.Renderer(square(), fingers, wd.DirectionalLight((0.1, 0.2, 1.0)), VIEW, **options)

@@ -162,7 +162,7 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
         coherence = Coherence("source", angular_diameter_deg=diameter)
         s, worst = coherence.spread, 0.0
         for (r, t), place in cases:
-            # Direction into which this order diffracts the light from the chosen point of the source.
+            # Direction into which an order diffracts the light from the chosen point of the source.
             origin = to_light + s * (place[0] * first + place[1] * second)
             origin /= np.linalg.norm(origin)
             across = -origin[:2] - wavelength * np.array([r / small.size_um[1], t / small.size_um[0]])
@@ -227,7 +227,7 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     assert pigment == pytest.approx(solid_angle / math.pi, rel=1e-14)
 
 
-def test_solid_angles_in_closed_form():
+def test_solid_angles_equal_closed_forms():
     wavelengths = np.array([0.4, 0.7])
     for kind in ("averaged", "centred"):
         pigment = reflectance_factors.pigment_solid_angle(wavelengths, Coherence(kind, 16.0), 9.0)

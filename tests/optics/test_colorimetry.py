@@ -118,7 +118,7 @@ def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illu
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # Upper-bound plans for these tolerances have slightly more samples than are tested here.
+    # Upper-bound plans have slightly more samples than are tested here.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 
@@ -153,7 +153,7 @@ def test_importing_the_package_prints_no_message_of_colour_science():
      ([np.nan], "finite"),
      ("blue", "real numbers")],
 )  # fmt: skip
-def test_bad_wavelengths(wavelengths, message):
+def test_invalid_wavelengths_are_refused(wavelengths, message):
     with pytest.raises((ValueError, TypeError), match=message):
         colorimetry.quadrature_weights(wavelengths)
 
@@ -161,6 +161,6 @@ def test_bad_wavelengths(wavelengths, message):
 @pytest.mark.parametrize(
     ("illuminant", "message"), [("D66", "one of"), (6500, "name of a CIE"), ("ISO 7589 Photographic Daylight", "cover")]
 )
-def test_bad_illuminants(illuminant, message):
+def test_invalid_illuminants_are_refused(illuminant, message):
     with pytest.raises((ValueError, TypeError), match=message):
         wd.reflectance(FLAT, NORMAL, NORMAL, illuminant=illuminant)

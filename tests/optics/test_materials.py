@@ -140,7 +140,7 @@ def test_files_without_a_material_are_refused(text, tmp_path):
 
 
 def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
-    """Rows of a YAML table: a stray letter, a number too few or too many, and a comma for a point."""
+    """Each tested row of a YAML table has one fault: a stray letter, a missing or extra number, or a decimal comma."""
     file = tmp_path / "a.yml"
     for row in ("0.5 2.0x 4.0", "O.5 2.0 4.0", "0.5 2.0", "0.5 2.0 4.0 0.1", "0,5 2.0 4.0", "0.5 - 4.0"):
         file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))

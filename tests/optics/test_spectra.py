@@ -69,7 +69,7 @@ def test_a_constant_spectrum_equals_illuminant_e_in_calls_and_pictures():
 
 
 def lines(*peaks, half_width=0.08):
-    """A spectrum of triangles at some wavelengths [nm], each with its power."""
+    """Return a spectrum with a narrow triangle at each of some wavelengths [nm], each triangle with its power."""
     knots, values = [300.0], [0.0]
     for nm, power in peaks:
         knots += [nm - half_width, nm, nm + half_width]
@@ -82,7 +82,10 @@ def lines(*peaks, half_width=0.08):
     [(404.66, 1.0), (435.83, 2.0), (546.07, 1.0), (546.3, 1.0), (576.96, 0.8), (579.07, 0.8)],
 ])  # fmt: skip
 def test_lines_narrower_than_a_nanometre_keep_their_power(peaks):
-    """The white of lines is the sum of their powers times the observer's curves, divided by that of ȳ."""
+    """The white point of narrow lines follows from the sum of the powers of the lines times the observer's curves.
+
+    The expected XYZ is this sum divided by its Y.
+    """
     observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     curves = [np.interp([nm for nm, _ in peaks], observer.wavelengths, values) for values in observer.values.T]
     expected = np.array(curves) @ [power for _, power in peaks]

@@ -53,7 +53,10 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
-    """The spectra of tall steps oscillate quickly with the wavelength, and the illuminant consists of narrow lines."""
+    """Tall steps have spectra that oscillate quickly with the wavelength, and the illuminant has narrow lines.
+
+    Both require many wavelengths.
+    """
     heightfield = line_grating(np.repeat([height_um, 0.0], 32), 4.0)
     lights = hemisphere(rng, 40, 0.95)
     assert ratio(heightfield, lights, lights * [-1.0, -1.0, 1.0], 1e-4, illuminant=illuminant) <= 0.5

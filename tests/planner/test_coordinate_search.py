@@ -14,7 +14,7 @@ from warpdiff.planner.coordinate_search import Coordinate
 
 # Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Ratio of neighbouring bandwidths (4 steps per octave), and number of terms per SIMD register.
+# Ratio of neighbouring bandwidths that a search tries (4 steps per octave), and number of terms per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 
@@ -78,7 +78,8 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # The sufficient plan with the smallest bandwidth has the least cost.
+        # With equal terms and neighbours, the plan with the smallest sufficient bandwidth has the least cost. It is the
+        # last sufficient plan of this loop.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -86,7 +87,10 @@ def exhaustive(trial, start, target):
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
-    """With a factor of 2.5, the validation error exceeds the training error, so the search refines its plan again."""
+    """The validation error is the training error times ``factor``.
+
+    With a factor of 2.5 it exceeds the target, so that the search must refine its plan again.
+    """
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
@@ -260,9 +264,9 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Searches round bandwidths to quarter octaves from those for a tolerance of 0.01, and weights to powers of e.
+    """Searches at all tolerances try plans on the same grid.
 
-    Plans for all tolerances are then on the same grid.
+    Bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). Least weights are powers of e.
     """
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
@@ -279,9 +283,12 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """The budgets are the errors up to which the search may reduce one number of the plan after another.
+    """Budgets are limits of the error while a search reduces one number of the plan after another.
 
-    With few bright directions, terms get a tenth of their share, and the neighbourhood is not reduced.
+    They have equal steps.
+
+    If there are few bright directions, the step of the terms is a tenth of an equal step, and the neighbourhood is not
+    reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

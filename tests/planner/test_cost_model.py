@@ -125,7 +125,9 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """Without a given number, a table has as many basis functions of w as terms, in whole SIMD registers."""
+    """If a plan states no number of basis functions of w, the table has as many as terms, rounded up to whole SIMD
+    registers.
+    """
     plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
     for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:
         sized = dataclasses.replace(plan, w_basis_size=size, terms=terms)

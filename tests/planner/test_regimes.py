@@ -16,7 +16,9 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """Height field, directions and coherence model, with reference colours."""
+    """A call with its reference: height field, directions and coherence model, and the colours that the call must
+    return.
+    """
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence
@@ -27,7 +29,7 @@ class Case:
 
     @property
     def automatic(self):
-        """Error of the automatic plan. A warning or a refusal fails the test."""
+        """Return the error of the automatic plan. A warning or a refusal fails the test."""
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 
@@ -138,8 +140,8 @@ def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, sprea
 def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
     """All directions have about a millionth of the reflectance in the mirror direction, whose lobe must not reach them.
 
-    The terms of a series of powers cancel in such directions. Calls with few directions, which skip the search, must
-    replace this series, too.
+    In such dark directions the terms of a series of powers cancel. Another series must replace it, also in calls with
+    few directions, which skip the search.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -160,7 +162,10 @@ def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, sp
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
-    """Half a degree above the horizon or less, a source is foreshortened more than 100 times."""
+    """At half a degree above the horizon or less, a source is foreshortened more than 100 times.
+
+    Colours must still meet the tolerance.
+    """
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
         Case(heightfield, methods.at_elevation(count, elevation, None, seed), wd.Coherence("source")).automatic
@@ -204,20 +209,22 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
-    # The largest pitch without aliasing is 0.1 µm, so 16 samples suffice and 12 do not.
+    # The largest pitch without aliasing is 0.1 µm. A period of 1.6 µm therefore needs 16 samples, and 12 samples are
+    # too few.
     for samples in (80, 20, 16):
         xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The result equals a reference computed from the same samples, although both are wrong by aliasing.
+        # The colours equal those of a reference that uses the same coarse samples, because both have the same errors by
+        # aliasing.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
         assert len(caught) == 1
         assert methods.colour_error(xyz, on_samples) <= TOLERANCE
         assert methods.colour_error(xyz, exact) > TOLERANCE
-        # Resampling, as the warning recommends, restores the accuracy.
+        # Resampling to a finer pitch, which the warning recommends, restores the accuracy.
         xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
@@ -225,7 +232,11 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Coefficients repeat beyond the Nyquist limit. For a window centred between samples, their phases are wrong."""
+    """Close to the Nyquist limit, a direction requires coefficients beyond the limit, which repeat those below it.
+
+    For a window centred between samples, the repeated coefficients have wrong phases. The call must be accurate, or
+    warn or be refused.
+    """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
     arguments = heightfield, [0.0, 0.0, 1.0], [side * 0.345, 0.0, 0.9386], 102.0

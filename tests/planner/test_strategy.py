@@ -51,7 +51,8 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The directions of the unspecified side are uniform in z over the hemisphere.
+    # The call states the directions of one side only. Those of the other side are drawn uniformly in z over the
+    # hemisphere, with a mean z of 0.5.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -70,10 +71,10 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
-def test_a_search_pays_from_the_number_of_directions_that_save_its_time(kind, saving):
-    """A search costs as much as evaluating 16,000 directions with the plan that it finds.
+def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind, saving):
+    """A search costs as much as the evaluation of 16,000 directions with the plan that it finds.
 
-    Evaluating a direction with the upper-bound plan costs ``saving`` times as much as with that plan.
+    An evaluation with the upper-bound plan costs ``saving`` times as much as with the plan of the search.
     """
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
@@ -93,9 +94,10 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """A table may cost as much as it saves in three calls.
+    """A table may cost as much as three calls save by it.
 
-    Without a table, a search would be made, which costs as much as 16,000 directions of its plan.
+    Without the table, each call would use a plan of a search, which costs as much as the evaluation of 16,000
+    directions.
     """
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))

@@ -149,7 +149,10 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
-    """With 8 terms the measured error equals the target. By the residuals of the basis, two terms divide it by 3.2."""
+    """With 8 terms, the measured error equals the target.
+
+    The residuals of the basis predict that 10 terms divide it by 3.2.
+    """
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
     table = trial.smallest()

@@ -108,7 +108,7 @@ def test_looser_tolerances_never_cost_more(count, rng):
         z, phi = rng.uniform(0.1, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
         s = np.sqrt(1.0 - z * z)
         directions = tuple(np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1))
-    # For the whole hemisphere, plans with tight tolerances need several seconds each, so they are skipped.
+    # Plans with tight tolerances for the whole hemisphere require several seconds each, and are skipped.
     tolerances = (3e-1, 1e-1, 3e-2, 1e-2, 3e-3, 1e-3)[: None if count else 4]
     plans = [wd.plan(heightfield, *directions, tolerance=t) for t in tolerances]
     costs = [plan.multiply_adds for plan in plans]

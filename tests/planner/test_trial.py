@@ -103,7 +103,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Two per cent of the directions change the 99th percentile. One per cent of the light does not change the median.
+    # Now 2 % of the directions are bright, which changes the 99th percentile of the luminance. With small weights they
+    # are too small a share of the light to change its median.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     weights[-20:] = 0.25
@@ -113,7 +114,10 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
-    """The worst percentile is the error that 0.5 % of the weight exceeds, maximised over illuminants and groups."""
+    """The worst percentile is the error that 0.5 % of the weight exceeds.
+
+    It is the largest over all illuminants, and over bright and dim directions.
+    """
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
     group = SimpleNamespace(weights=np.ones(2000), above=above)
@@ -205,7 +209,7 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # In a call of this size all directions are candidates. The second luminance floor, which excludes the brightest
-    # candidates as outliers, exists only in larger calls.
+    # This call is small, so that all of its directions are candidates. In larger calls a second luminance floor exists,
+    # which excludes the brightest candidates as outliers.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -44,8 +44,8 @@ def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
-    # Directions are drawn with probabilities proportional to ``measure``. Of 100 draws, the first eleven directions are
-    # always part.
+    # The probability that a direction is drawn is proportional to ``measure``, but at most 1. For 100 draws, the
+    # probability of the first eleven directions reaches 1, so that they are always drawn.
     measure[:10], measure[10] = 1e3, 50.0
     drawn = validation_directions._draw(candidates, np.arange(1000), measure, 100, represents=3.0)
     index = {tuple(light): k for k, light in enumerate(lights)}

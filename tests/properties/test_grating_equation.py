@@ -8,7 +8,7 @@ from conftest import at_angle
 
 import warpdiff as wd
 
-# Gratings with their period along x in µm, or None if it equals the width of the field.
+# Gratings with their period along x [µm]. None means that the whole field is one period.
 GRATINGS = {
     "sinusoidal": (wd.gratings.sinusoidal(2.0, 0.3), 2.0), "lamellar": (wd.gratings.lamellar(1.2, 0.15), 1.2),
     "blazed": (wd.gratings.blazed(2.5, 0.25), 2.5), "CD": (wd.gratings.disc("CD"), 1.6),

@@ -77,11 +77,11 @@ def power_width(coherence):
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
     """The kernel's gain C·M equals the formula written with angles, up to 89.9° and at the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
-    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # mirror direction
-    views[50:100] = lights[50:100]  # retro-reflection
+    views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # views in the mirror direction of the light
+    views[50:100] = lights[50:100]  # views in the direction of the light (retro-reflection)
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
-    # The kernel stores view directions in float32.
+    # The kernel stores view directions in float32. The formula is evaluated for the same rounded directions.
     views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
@@ -117,6 +117,7 @@ def test_powers_do_not_depend_on_the_position_of_the_patch(rough, kind, rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.filterwarnings("ignore:opposite edges")
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
     """Each quarter turn maps (x, y) to (−y, x). It is about the central sample of the patch of 61 × 61 samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
@@ -179,7 +180,7 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
-def test_excess_energy_of_a_shallow_sine(period_um):
+def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
     """A sine with amplitude a reflects more than all light by (2πa/λ)² (1 − c)²/(2c), an error of scalar theory.
 
     Here c is the cosine of the first order. The excess is a millionth of the light. Measuring it requires float64, a
@@ -221,7 +222,7 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     mirrored = at_angle(-10.0 * cycles)
     power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
-    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power: only the geometry factor C remains
+    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power is in this order: only C remains
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -277,7 +278,7 @@ def test_calls_without_directions_return_empty_arrays(rough, method):
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
     # The directions fill several slices of 512, which are distributed over the threads.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
-    # A source near the horizon requires thousands of wavelengths per direction, so low directions are excluded.
+    # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
     options = {"coherence": coherence_of(kind), "tolerance": 1e-2 if kind == "averaged" else 0.1}

@@ -130,7 +130,7 @@ def test_colours_are_finite_and_not_negative(data):
 
 @settings(SETTINGS, max_examples=15)
 @given(st.data())
-def test_single_directions_are_rows_of_many(data):
+def test_a_single_direction_gives_the_same_values_as_a_row_of_many(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     light, view = data.draw(vectors(1))[0], data.draw(vectors(1))[0]
     one = computed(wd.spectral_reflectance, heightfield, light, view, nanometres, coherence=coherence)
@@ -143,7 +143,7 @@ def test_single_directions_are_rows_of_many(data):
 
 @SETTINGS
 @given(st.data())
-def test_reciprocity(data):
+def test_the_brdf_is_reciprocal(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(reciprocal), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
     there = computed(wd.brdf, heightfield, lights, views, nanometres, coherence=coherence, tolerance=1e-4)
@@ -175,7 +175,7 @@ def test_a_constant_height_changes_nothing(data):
 def test_mirroring_surface_and_directions_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Mirroring x → −x keeps the first sample in place.
+    # Mirroring x → −x keeps the position of the first sample, and reverses the order of the others.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
         # The window is centred on a sample. Otherwise mirroring would change phases beyond the Nyquist limit.

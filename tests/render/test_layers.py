@@ -14,7 +14,8 @@ from warpdiff.request.settings import Layer
 NAMES = get_args(Layer)
 HF = wd.gratings.sinusoidal(2.0, 0.2)
 LIGHT = wd.DirectionalLight((0.2, 0.3, 1.0))
-# Texture coordinates of the ball are vertex positions times this matrix, so that both vary along its surface.
+# Matrix by which the vertex positions of the ball are multiplied to give its texture coordinates. Both coordinates vary
+# along the surface.
 MIXED = np.array([[1.0, 0.1], [0.3, 1.0], [0.2, -0.4]])
 VIEW = wd.View((1.9, 2.3, 2.9), (0.0, 0.0, 0.0), width=40, height=30)
 

@@ -43,7 +43,8 @@ def test_a_material_without_reflection_is_black_with_a_table(fingers, rng):
     air = wd.Material.from_nk([500.0], [1.0], [0.0])
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", integration="table")
-    # A table represents the dependence on cos θd by polynomials, whose sum is not exactly 0 but a rounding error.
+    # A material without reflection is not exactly black. The table represents the dependence on cos θd by polynomials,
+    # whose sum has a rounding error.
     assert np.abs(wd.reflectance(fingers, lights, views, plan=plan, material=air)).max() < 1e-20
 
 

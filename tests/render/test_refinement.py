@@ -32,7 +32,7 @@ def table(fingers):
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
 
-# Camera targets by mesh name: parts of the meshes with a silhouette.
+# Camera targets by mesh name. At these points the picture contains a silhouette of the mesh.
 TARGETS = {"tube": (0.2, 0.2, 0.1), "lumpy": (0.75, 0.1, 0.75)}
 
 
@@ -210,7 +210,8 @@ def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
     edges = renderer._mine.picture._cropped(renderer._mine.picture._sums.edges)
     assert not edges[inside].any()
     assert np.count_nonzero(illuminated & ~inside) > 20
-    # Some edges are so close to the border of their pixel that none of its 16 cells detects them.
+    # Some edges are so close to the border of their pixel that none of its 16 cells detects them. It suffices that 80 %
+    # of the pixels with edges are marked.
     assert np.mean(edges[illuminated & ~inside]) > 0.8
 
 
@@ -265,7 +266,10 @@ def test_lights_and_pigments_add_up(fingers, table):
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
-    """The weighted Gaussians of cells sum to the pixel filter, with σ = 0.5 pixel. Weights of points are its values."""
+    """The weighted Gaussians of all cells sum to the pixel filter, a Gaussian with σ = 0.5 pixel.
+
+    Without footprint means, the weights of cells are values of the pixel filter.
+    """
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(weights, weights[::-1])
@@ -326,7 +330,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 @pytest.mark.parametrize("slices", [1, 6])
 def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
-    # Every sixth row misses the mesh, and (u, v) changes irregularly at some pixels.
+    # The picture has rows that miss the mesh and pixels at which (u, v) changes irregularly, because the estimate
+    # treats both separately.
     hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
     y, x = np.mgrid[: size[0], : size[1]]
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)

@@ -144,8 +144,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # A pixel's coverage is that of the light with the finest cells, or of the last such light, so it depends on the
-    # order.
+    # A pixel's coverage is that of the light with the finest cells, or of the last such light. It therefore depends on
+    # the order of the lights.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
@@ -211,7 +211,7 @@ def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, 
 
     with pytest.raises(KeyError, match="mine"):
         drawn.draw(previews={0.4: fails})
-    # The callback raised an error, but the picture must be complete.
+    # The callback for previews raised an error during this picture. The picture must still be complete.
     same(drawn.image(), before)
     with pytest.raises(RuntimeError, match="was called from its own progress"):
         drawn.draw(previews={0.4: drawn.draw})
@@ -231,7 +231,10 @@ def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
 
 @pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
-    """Views near, far, past the mesh, and inside it, with part of the mesh behind the eye, follow each other."""
+    """Pictures with very different views follow each other, and each must equal a picture by a new renderer.
+
+    The mesh is near, far, outside of the view, or around the eye, with a part of the mesh behind it.
+    """
     plan, count, options = CASES[name]
     size = {"width": WIDTH, "height": HEIGHT}
     near, far = wd.View((0.0, 1.0, 1.5), (0, 0, 0), **size), wd.View((0.0, 4.0, 6.0), (0, 0.5, 0), **size)
@@ -318,7 +321,7 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
 
 @pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is twice as wide as in other tests, because shares of differing pixels are compared.
+    # The picture is twice as wide as in other tests, so that shares of differing pixels are meaningful.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
@@ -466,5 +469,5 @@ def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tr
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
     tries.number = 2 * TURNS
-    # The main thread has its own picture, which the pictures of the two threads must not have changed.
+    # The main thread has a picture of its own, rendered before. The two threads must not have changed it.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

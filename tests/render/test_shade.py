@@ -107,7 +107,7 @@ def test_the_illuminant_changes_the_white():
 
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
-def test_lights_add(snake, fingers):
+def test_the_colours_of_several_lights_add_up(snake, fingers):
     lights = [
         SNAKE_LIGHT,
         wd.DirectionalLight((-1.0, 0.7, 0.6), illuminant="A", power=0.4),
@@ -220,7 +220,7 @@ def test_the_background_is_black_and_unmasked(snake, fingers):
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
-    # This number of pixels is larger than the slice of a picture that one thread renders at a time.
+    # The picture has more pixels than the slice that one thread renders at a time, so that several threads render it.
     view = snake_view(96, 72)
     options = {"coherence": SHORT, "samples_per_pixel": samples}
     first = wd.shade(snake, fingers, SNAKE_LIGHT, view, threads=1, **options)
@@ -230,7 +230,7 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
         np.testing.assert_array_equal(again.coverage, first.coverage)
 
 
-def test_many_samples_per_pixel():
+def test_many_samples_per_pixel_change_only_the_rim():
     """With 16 samples per pixel, only pixels at the rim are partly covered. Inside, the mean brightness is the same."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
@@ -281,8 +281,8 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
     truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
-    # The pigment's colour is the difference of two float32 pictures, so the rounding errors of the brighter picture are
-    # allowed.
+    # The pigment's colour is the difference of two float32 pictures. Its error includes their rounding errors, which
+    # are proportional to the brighter picture.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
     error = reference.picture_error(whole.reshape(-1, 3), truth[1])
@@ -319,7 +319,7 @@ def test_tangents_rotate_the_height_field(fingers):
     assert np.abs(other - first).max() > 0.1 * first.max()
 
 
-def test_facets():
+def test_each_face_of_a_flat_mirror_has_one_colour():
     """With ``smooth=False``, each face of a flat mirror has one colour in an orthographic view."""
     tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
     view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
@@ -332,7 +332,7 @@ def test_facets():
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
-def test_the_direct_method_agrees(kind, snake, fingers):
+def test_the_direct_method_agrees_with_the_automatic_one(kind, snake, fingers):
     view = wd.View((0.0, 0.5, 1.1), (0.0, 0.0, 0.0), fov_y_deg=14.0, width=8, height=6)
     options = {"coherence": wd.Coherence(kind, 3.0), "tolerance": 1e-2, "footprint": False}
     auto = wd.shade(snake, fingers, SNAKE_LIGHT, view, **options)
@@ -381,7 +381,7 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert not luminance[dark].any()
 
 
-def test_no_seam_along_the_belly(fingers):
+def test_the_belly_shows_no_seam(fingers):
     """At the seam of the texture, neighbouring pixels do not differ more than elsewhere."""
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.

@@ -90,7 +90,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors are not compared, because they may be smaller at the larger tolerance.
+        # Measured errors of two plans are not compared, because the plan for the larger tolerance may by chance have
+        # the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -266,7 +267,7 @@ def test_the_plan_that_a_call_makes_is_the_one_that_plan_returns(rough):
     np.testing.assert_array_equal(image.xyz, again.xyz)
 
 
-def test_plans_are_values(rough):
+def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
     one, two = (wd.plan(rough, tolerance=0.3) for _ in range(2))
     assert one == two
     assert hash(one) == hash(two)
@@ -276,7 +277,8 @@ def test_plans_are_values(rough):
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # A plan for the whole hemisphere needs a search, which compiles a kernel for each number of terms.
+    # A plan for the whole hemisphere requires a search, which is slow because it compiles a kernel for each number of
+    # terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -298,7 +300,11 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 
 
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """With the most terms, amplitudes have an error of 3e-3, which is 1000 times larger for weak orders."""
+    """At a height range of 6.9 µm, the series of amplitudes has an error of 3e-3 with the largest number of terms.
+
+    Relative to weak orders this error is 1000 times larger. The height range is refused, while one of 6.2 µm is
+    accepted.
+    """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
     wd.plan(deep(6.2), UP, UP)
@@ -313,14 +319,16 @@ def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
     np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
 
 
-def test_heights_in_another_unit_are_refused(rough):
+def test_height_ranges_beyond_the_expansions_are_refused_and_the_direct_sum_computes_them(rough):
     plan = wd.plan(rough, UP, UP)
     for height_um in (375.0, 1e9):
-        for method in ("auto", "taylor", "direct"):
-            with pytest.raises(ValueError, match="heights are in µm"):
+        for method in ("auto", "taylor"):
+            with pytest.raises(ValueError, match=r"wavelengths of path.*method='direct'"):
                 wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
-        with pytest.raises(ValueError, match="heights are in µm"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
+        with pytest.raises(ValueError, match="method='direct'"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
             wd.reflectance(deep(height_um), UP, UP, plan=plan)
+    with pytest.warns(wd.WarpdiffWarning, match="invalid"):
+        assert np.isfinite(wd.reflectance(deep(375.0), UP, UP, method="direct")).all()
 
 
 def test_an_explicit_plan_is_used_with_a_warning_beyond_its_range(rough):
@@ -385,7 +393,8 @@ def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
-    # Directions that the pitch supports give no warning. The range is wider for longer wavelengths.
+    # Directions with order rates that the pitch supports cause no warning. At longer wavelengths, the pitch supports
+    # more directions.
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
     wd.plan(rough, method="direct")
@@ -411,7 +420,7 @@ def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
     assert len(builds) == 1
     first = wd.reflectance(heightfield, UP, UP, plan=plan)
     np.testing.assert_array_equal(wd.reflectance(heightfield, UP, UP, plan=plan), first)
-    # Other lights, indices of refraction, wavelengths and numbers of terms need no new coefficients.
+    # Tables of coefficients are reused if only lights, index of refraction, wavelengths or the number of terms change.
     wd.reflectance(heightfield, at_angle(10.0), UP, plan=plan, ior=2.0)
     wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
     wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
@@ -465,7 +474,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # A call with so few directions has no search, so the plan consists of upper bounds.
+    # For a call with few directions no search is made, and its plan consists of upper bounds.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive
@@ -483,7 +492,10 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """Each pixel is the mean over a grid of directions, and its coverage is the share of directions on the disc."""
+    """A pixel of a map can be the mean over a grid of directions.
+
+    Its coverage is the share of these directions within the unit disc.
+    """
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
     means = wd.reflectance_map(rough, light, size=12, samples_per_pixel=9, plan=fine.plan)

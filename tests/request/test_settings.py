@@ -131,7 +131,7 @@ wd.Coherence("centerd")  # wrong literal
 """
 
 
-# Slow: type checkers read the whole package.
+# This test is slow, because type checkers read the whole package.
 @pytest.mark.slow
 @pytest.mark.parametrize("checker", ["mypy", "pyright"])
 def test_type_checkers_report_misspelt_options(checker, tmp_path):

@@ -17,7 +17,7 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# The plan is for a single direction, which needs no search, because every test process imports this file.
+# The plan is for a single direction, because such a plan needs no search, and every test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -171,7 +171,7 @@ MEMORY_ERRORS = [
     (lambda _: wd.meshes.tube(segments_along=2**40), "a mesh of .* faces .* take .* of segments_along"),
     (lambda _: wd.meshes.disc(segments=2**40), "a mesh of .* faces .* take .* of segments, or of rings"),
     (lambda _: wd.meshes.snake(segments=2**20), "a snake of 27 × 130 scales .* or .* of segments"),
-    (lambda _: wd.order_efficiencies(wd.HeightField([[0.0, 0.1]], 1e15), UP, [500.0]), "a cell of 1 × 2"),
+    (lambda _: wd.order_efficiencies(wd.HeightField.of_known_scale([[0.0, 0.1]], 1e15), UP, [500.0]), "of 1 × 2"),
 ]
 MISSING_FILES = [
     (lambda d: wd.HeightField.load(d / "no.png", extent_um=1), "path: there is no file .*no.png"),

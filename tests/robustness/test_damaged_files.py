@@ -16,7 +16,8 @@ HERE = Path(__file__).parent
 
 @pytest.mark.parametrize(
     ("kind", "number"),
-    # 7 of 17 scans are texts and .x3p files: 330 in the tests, and 100,000 in a soak.
+    # Seven of the 17 height-field files are texts or .x3p files. The tests damage such files 330 times, a soak test
+    # 100,000 times.
     [pytest.param("scans", count(800, 245_000), marks=pytest.mark.permanent("damaged scans", shares=40)),
      pytest.param("meshes", count(600, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20))],
 )  # fmt: skip

@@ -134,6 +134,7 @@ def test_a_damaged_file_of_another_format_is_refused_by_its_path(tmp_path, suffi
     wd.meshes.tube(segments_along=12, segments_around=12).export(path)
     path.write_bytes(path.read_bytes()[:400])
     # If a package for text encodings is installed, trimesh reads a truncated binary STL file as text without triangles.
+    # The message then refers to the missing triangles.
     message = r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* without any)"
     with pytest.raises(ValueError, match=message) as refused:
         prepare_surface(path)

@@ -95,7 +95,7 @@ def save_on_both_sides_of_forks(folder):
         assert childs.stat().st_size == parents.stat().st_size
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
     """The test runs in a separate process, because other tests may have started OpenEXR's threads in this one."""
@@ -103,7 +103,7 @@ def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_child_may_be_the_first_to_render():
     """Fork before any kernel is loaded, and let the child fork as well."""
@@ -181,7 +181,7 @@ assert t.in_child(lambda: t.picture().any()) == 0
 """
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_child_of_a_process_that_compiles_must_be_spawned():
     subprocess.run([sys.executable, "-c", _WHILE_COMPILING], cwd=HERE, check=True, timeout=_MOST_S)
@@ -240,10 +240,13 @@ def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# Slow: the test starts processes that import all modules and compile.
+# This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_fork_waits_for_imports_and_kernels():
-    """Fork while another thread imports packages and loads kernels."""
+    """Fork while another thread imports packages and loads kernels.
+
+    The child must render, or raise an error that proposes the start method "spawn".
+    """
     code = (
         "import threading, time\n"
         "import test_forks as t\n"

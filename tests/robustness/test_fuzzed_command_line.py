@@ -20,7 +20,7 @@ FRAME = ["disc.ply", *SMALL, "--width", "4", "--height", "3"]
 COMMANDS = {
     "render": [*FRAME, "-o", "a.png"], "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
     "sequence": [*FRAME, "--count", "2", "-o", "frames"], "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
-    "cache": [],
+    "orders": ["blazed"], "angles": ["blazed"], "spectrum": [*SMALL, "--step-nm", "100"], "cache": [],
 }  # fmt: skip
 VALUES = [
     *("", "x", "nan", "inf", "-inf", "-1", "0", "-0", "1e300", "1e-300", "5e-324", "9" * 400, "1e15", "1e-15", "0x10"),
@@ -51,7 +51,7 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     # With little free memory, large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # Plans for a short coherence window are made several seconds faster.
+    # With a short coherence window, plans are made several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))

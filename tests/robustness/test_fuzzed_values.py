@@ -52,7 +52,8 @@ NUMBERS_OF = {
                                    *map(np.array, (field.pitch_um, field.height_range_um, field.rms_um)),
                                    np.array([field.rms_slope, field.mean_slope])],
     wd.Image: lambda image: [image.xyz, image.error, image.coverage],
-    wd.OrderEfficiencies: lambda orders: [orders.efficiencies],
+    wd.OrderEfficiencies: lambda orders: [orders.efficiencies], wd.ReflectanceSpectra: lambda spectra: [spectra.values],
+    wd.Table: lambda table: [column for column in table.columns.values() if column.dtype.kind == "f"],
     trimesh.Trimesh: lambda mesh: [mesh.vertices.view(np.ndarray), mesh.vertex_normals, mesh.visual.uv],
     wd.BakedLobes: lambda lobes: [lobes.functions, lobes.zeroth, lobes.coefficients],
     wd.BakedSpectrum: lambda spectrum: [spectrum.powers, spectrum.functions, spectrum.zeroth],
@@ -118,7 +119,8 @@ def check(name, fuzzed):
         except (ValueError, TypeError, OSError) as error:
             message = str(error)
         except (ImportError, RuntimeError):
-            # ``register_mitsuba_bsdf`` may fail because Mitsuba is not installed or not set up.
+            # Only ``register_mitsuba_bsdf`` may raise other errors, because Mitsuba may not be installed or not be set
+            # up.
             if name != "register_mitsuba_bsdf":
                 raise
         else:

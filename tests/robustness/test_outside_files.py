@@ -12,7 +12,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 OBJ = "mtllib {}\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 MTL = "newmtl paint\nmap_Kd {}\n"
-# Address on which no server runs.
+# Address of a picture on a port that no server uses.
 URL = "http://127.0.0.1:9/paint.png"
 # Contents of mesh folders, by file name. ``{above}`` is replaced by the path of the parent folder.
 OUTSIDE = {
@@ -35,7 +35,10 @@ opened = None
 
 
 def _watch(event, arguments):
-    """Record opened files and network access while ``opened`` is a list. Python cannot remove audit hooks."""
+    """Record opened files and network access, as an audit hook of Python.
+
+    Audit hooks cannot be removed, so this one records only while ``opened`` is a list.
+    """
     if opened is None:
         return
     if event.startswith(("socket.", "urllib.")):
@@ -72,7 +75,7 @@ def load(folder):
     finally:
         events, opened = opened, None
     names = [path for path in events if isinstance(path, str) or path.is_relative_to(folder.parent)]
-    # The audit hook must have recorded the mesh file itself.
+    # The list of opened files must contain the mesh file itself, which shows that the audit hook works.
     assert any(path.stem == "mesh" for path in names if isinstance(path, Path))
     return has_colour, names
 

@@ -1,4 +1,4 @@
-"""Texts of heights with random separators, numbers, gaps, headers and encodings: read exactly, or refused."""
+"""Texts of heights with random separators, numbers, gaps, headers and encodings are read exactly or refused."""
 
 from typing import Any, NamedTuple
 
@@ -8,7 +8,8 @@ from endurance import SEED, count
 
 from warpdiff.heightfield.field import HeightField
 
-# Sizes of units in µm, and forms of numbers with their typical size.
+# Sizes of units [µm].
+# Formats of numbers, each with the standard deviation of the random heights that are written in it.
 UNITS = {"nm": 1e-3, "µm": 1.0, "mm": 1e3}
 FORMS = {"{:.0f}": 50.0, "{:.2f}": 20.0, "{:.4f}": 1.0, "{:.5e}": 1e-3, "{:.5E}": 1e-3, "{:.6g}": 1e-2}
 SEPARATORS = ("\t", ";", ",", " ", "  ", ", ", "; ")
@@ -16,7 +17,14 @@ ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "cp1252")
 
 
 class Export(NamedTuple):
-    """A text, what the caller states, and what must be read: heights [µm] in the order of the text, pitch (dy, dx)."""
+    """A text file of heights, and the result that ``HeightField.load`` must return.
+
+    Attributes:
+        text: Text of the file.
+        options: Arguments of ``HeightField.load``, for what the text does not state.
+        heights: Expected heights [µm], in the order of the text.
+        pitch: Expected sample spacing (dy, dx) [µm].
+    """
 
     text: str
     options: dict[str, Any]
@@ -25,14 +33,14 @@ class Export(NamedTuple):
 
 
 def numbers(values: np.ndarray, form: str, decimal: str) -> tuple[np.ndarray, np.ndarray]:
-    """Texts of numbers, and the numbers as they are written."""
+    """Return texts of numbers, and the numbers after rounding to the digits of these texts."""
     texts = np.array([form.format(value) for value in values.ravel()]).reshape(values.shape)
     written = texts.astype(float)
     return np.char.replace(np.char.replace(texts, ".", decimal), "E", "D" if decimal == "." else "E"), written
 
 
 def matrix(rng: np.random.Generator) -> Export:
-    """A matrix with or without a header."""
+    """Return a text with a matrix of heights, with or without a header."""
     ny, nx = int(rng.integers(2, 12)), int(rng.integers(4, 12))
     form = str(rng.choice(list(FORMS)))
     separator = str(rng.choice(SEPARATORS))
@@ -56,7 +64,7 @@ def matrix(rng: np.random.Generator) -> Export:
 
 
 def points(rng: np.random.Generator) -> Export:
-    """Points x, y, z of a grid, in any order, some of them absent."""
+    """Return a text with a list of points x, y, z on a grid, in any order. Some points of the grid may be absent."""
     ny, nx = rng.integers(4, 20, 2)
     (dx, dy), offset = rng.choice([0.1, 0.25, 1.37], 2), rng.normal(size=2)
     separator = str(rng.choice(["\t", ";", ",", " "]))
@@ -69,7 +77,7 @@ def points(rng: np.random.Generator) -> Export:
     j, i = np.mgrid[:ny, :nx]
     texts, values = numbers(20.0 * rng.normal(size=(ny, nx)), "{:.3f}", decimal)
     is_absent = rng.random((ny, nx)) < rng.choice([0.0, 0.2])
-    # The first and the last row and column determine the size.
+    # Points in the corners of the grid are never absent, because the reader derives the size of the grid from them.
     is_absent[[0, -1], [0, -1]] = False
     x, y = (numbers(offset[k] + step * n, "{:.5f}", decimal)[0] for k, (step, n) in enumerate(((dx, i), (dy, j))))
     rows = np.array([separator.join(row) for row in zip(x[~is_absent], y[~is_absent], texts[~is_absent], strict=True)])
@@ -92,11 +100,13 @@ def test_random_exports_are_read_exactly_or_refused(tries, tmp_path):
         except ValueError as error:
             refusals.append(str(error))
             continue
-        # Positions grow upwards, and the rows of a matrix with a unit go downwards.
+        # A file with a header has row 0 at the top, so that the loaded field with rows "up" is in the opposite order. A
+        # list of points has its smallest y in row 0, in the file as in the loaded field.
         is_down = scan.source.rows == "up" and export.text[:1] not in "Xx"
         heights = scan.heights_um[::-1] if is_down else scan.heights_um
         np.testing.assert_allclose(heights, export.heights, rtol=1e-12, err_msg=f"{index}: {export.text[:300]!r}")
         np.testing.assert_allclose(scan.pitch_um, export.pitch, rtol=1e-4)
-    # Empty cells at the ends of all rows are not clear.
+    # A few files may be refused. If all rows end in empty cells, for example, a last column of missing samples and a
+    # separator at the end of each row look the same.
     assert all(message.startswith(f"path: '{path}'") for message in refusals)
     assert len(refusals) <= 1 + 0.05 * tries.number

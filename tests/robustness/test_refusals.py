@@ -115,7 +115,7 @@ def changed_plan(**fields: object) -> wd.Plan:
 
 
 def python_rows() -> Iterator[Row]:
-    """Yield rows for the options of all public callables except the methods of ``Renderer``."""
+    """Yield invalid requests for the options of all public callables except the methods of ``Renderer``."""
     for name, (function, owner) in fuzz.PUBLIC.items():
         if owner == "Renderer":
             continue
@@ -145,7 +145,7 @@ OWNERS = (SinglePictureSettings, wd.Coherence, wd.View, wd.Image.save, wd.Height
 
 
 def described_flags(name: str) -> Iterator[tuple[str, str, Option]]:
-    """Yield the stored name, flag and option of each flag of a command that has a value."""
+    """Yield each flag of a command that has a value: its name in argparse's result, the flag and the option."""
     described = {f"environment_{key}": option for key, option in describe(wd.Environment.load).items()}
     for owner in (*OWNERS, *([FUNCTIONS[name]] if name in FUNCTIONS else [])):
         described |= {key: option for key, option in describe(owner).items() if option.kind != "object"}
@@ -158,7 +158,7 @@ def described_flags(name: str) -> Iterator[tuple[str, str, Option]]:
 
 
 def command_line_rows() -> Iterator[Row]:
-    """Yield rows for all flags of every command that are generated from option descriptions."""
+    """Yield invalid requests for all flags of every command that are generated from option descriptions."""
     for name, arguments in COMMANDS.items():
         for key, flag, option in described_flags(name):
             more = ["--environment", "sky.exr"] if key.startswith("environment_") else []
@@ -307,7 +307,9 @@ LINES = {
 
 
 def written_rows() -> Iterator[Row]:
-    """Yield rows for rules about two arguments, about files, and about names of height fields and meshes."""
+    """Yield invalid requests that break rules about two arguments, about files, or about names of height fields and
+    meshes.
+    """
     for call, text, line, line_text in RULES:
         yield Row("python", text, "", re.escape(text), functools.partial(error_of, call))
         yield of_line(line, line_text)
@@ -316,7 +318,10 @@ def written_rows() -> Iterator[Row]:
 
 
 def of_line(line: str, text: str) -> Row:
-    """Return the row of a command line. A text that begins with ``.*`` need not be at the beginning of the message."""
+    """Return the invalid request that a command line makes.
+
+    The error message must begin with ``text``, or contain it if ``text`` begins with ``.*``.
+    """
     rule = re.escape(text.removeprefix(".*"))
     call = functools.partial(error_of_command, shlex.split(line.replace("…", DISC)))
     return Row("command line", line, "", f".*{rule}" if text.startswith(".*") else rule, call)
@@ -330,7 +335,7 @@ def error_of_command(line: list[str]) -> str:
             code = cli.main(line)
         except SystemExit as stopped:
             code = stopped.code
-    # On a slow machine, lines of progress precede the message.
+    # On a slow machine, lines of progress precede the error message. They are removed.
     text = re.sub(r"warpdiff [\w-]+: \d+ % after \d+ s\n", "", error.getvalue())
     return text.removeprefix(f"warpdiff {line[0]}: ") if code == 2 else f"exit code {code}: {text}"
 
@@ -339,7 +344,7 @@ def error_of_command(line: list[str]) -> str:
 
 
 def viewer_rows() -> Iterator[Row]:
-    """Yield rows for all controls, with values that the page itself cannot send."""
+    """Yield invalid requests for all controls of the viewer, with values that the page itself cannot send."""
     known = controls.controls(environments=["sky.exr"])
     for control in known.values():
         low, high, _ = control.slider or (0.0, 0.0, 0.0)
@@ -399,7 +404,8 @@ def test_messages_name_an_argument_as_the_user_wrote_it(row):
     assert "\n" not in message.strip()
     assert not re.search("[\ue000-\uf8ff]", message)
     if row.front != "python":
-        # Texts quoted from the user and lists of valid parameters may contain words of Python.
+        # Quotations from the user's input and lists of valid parameters may contain names of Python. They are removed
+        # before the test.
         prose = re.sub(r"'[^']*'|but its parameters are .*", "", message)
         assert not {word for word in PYTHON_ONLY.findall(prose) if word not in row.request}
 

@@ -18,7 +18,10 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 @pytest.fixture(autouse=True)
 def _default_handlers():
-    """Set default handlers: programs such as nohup ignore signals, and their child processes inherit that."""
+    """Give SIGINT and SIGHUP their default handlers during the test.
+
+    Programs such as nohup ignore these signals, and child processes would inherit this setting.
+    """
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -140,7 +143,8 @@ def test_an_interruption_in_a_finalizer_ends_the_command_without_a_message(tmp_p
 
 
 def test_a_signal_after_the_command_has_ended_changes_nothing(tmp_path):
-    # Python deletes module globals after it has called all exit functions, so this finalizer sends a very late signal.
+    # Python deletes module globals after it has called all exit functions. The finalizer of this global sends SIGTERM
+    # at that late time.
     late = "import signal\nclass Late:\n    def __del__(self, end=signal.raise_signal): end(15)\nlate = Late()\n"
     code, out, error = ended(late + COMMAND + "sys.argv[1:] = ['cache']" + RUN, tmp_path)
     assert code == 0, error

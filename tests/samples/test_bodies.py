@@ -87,7 +87,7 @@ def test_vertices_and_frames_are_equal_on_both_sides_of_the_texture_seam(mesh, a
      (meshes.disc, {"segments": 2}, ValueError, "segments must be an integer, at least 3"),
      (meshes.disc, {"rings": 0}, ValueError, "rings must be an integer, at least 1")],
 )  # fmt: skip
-def test_bad_arguments(make, arguments, error, message):
+def test_invalid_arguments_of_bodies_are_refused(make, arguments, error, message):
     with pytest.raises(error, match=message):
         make(**arguments)
 

@@ -114,7 +114,7 @@ def test_scales_have_the_requested_number(scale_rows):
 
 
 @pytest.mark.parametrize("tangent", ["around", "along"])
-def test_tangents_run_around_or_along(tangent):
+def test_tangents_run_around_the_body_or_along_it(tangent):
     mesh = meshes.snake(**SMALL, bend_deg=0.0, tangent=tangent)
     surface = prepare_surface(mesh)
     np.testing.assert_array_equal(surface.handedness, 1.0)
@@ -203,6 +203,6 @@ def test_the_pattern_has_its_colours_at_the_right_positions(surface):
      ({"seed": -1}, ValueError, "seed must be"),
      ({"radius": math.inf}, ValueError, "radius must be")],
 )  # fmt: skip
-def test_bad_arguments(arguments, error, message):
+def test_invalid_arguments_of_the_snake_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         meshes.snake(**arguments)

@@ -45,7 +45,7 @@ DISC_TRUTH = {
 
 
 @pytest.mark.parametrize("kind", DISC_TRUTH)
-def test_disc_tracks_depths_and_runs(kind: str) -> None:
+def test_a_disc_has_the_track_pitch_depth_and_run_lengths_of_its_kind(kind: str) -> None:
     track_pitch, depth, bit, shortest, longest = DISC_TRUTH[kind]
     field = gratings.disc(kind, tracks=8, length_um=20.0, pitch_um=0.02, seed=5)
     assert field.size_um == pytest.approx((20.0, 8 * track_pitch))
@@ -141,6 +141,6 @@ def test_height_differences_at_the_seam_equal_those_elsewhere(name: str, axis: i
      (lambda: gratings.fingers(size_um=1.0), ValueError, "size_um must be at least one finger"),
      (lambda: gratings.fingers(pitch_um=0.2), ValueError, "pitch_um must be at most an eighth of a finger")],
 )  # fmt: skip
-def test_bad_arguments(call: Any, error: type[Exception], message: str) -> None:
+def test_invalid_arguments_of_gratings_are_refused(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         call()

@@ -47,7 +47,7 @@ def test_the_orthographic_extent_is_the_image_height():
     assert (view.width, view.height) == (200, 100)
 
 
-def test_views_are_values():
+def test_views_are_compared_by_value_and_cannot_be_changed():
     assert View(np.array(EYE), list(TARGET)) == View(EYE, TARGET)
     assert len({View(EYE, TARGET), View(EYE, TARGET)}) == 1
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -66,7 +66,7 @@ def test_views_are_values():
      ({"height": True}, TypeError, "height must be an integer"),
      ({"extent_y": 1e-16}, ValueError, "extent_y must be at least 1e-15")],
 )  # fmt: skip
-def test_bad_views(changed, error, message):
+def test_invalid_views_are_refused(changed, error, message):
     arguments = {"eye": EYE, "target": TARGET} | changed
     eye, target = arguments.pop("eye"), arguments.pop("target")
     with pytest.raises(error, match=message):
@@ -74,7 +74,7 @@ def test_bad_views(changed, error, message):
 
 
 @pytest.mark.parametrize("extent_y", [0.0, -1.0, math.inf])
-def test_bad_extents(extent_y):
+def test_invalid_extents_are_refused(extent_y):
     with pytest.raises(ValueError, match="extent_y must be"):
         View.orthographic(EYE, TARGET, extent_y=extent_y)
 
@@ -94,8 +94,8 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     ball.apply_translation((5, 6, 7))
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
-    # The view contains a sphere around the bounding box, with √3 times the ball's radius. The sphere touches the
-    # narrower pair of edges of the picture.
+    # The mesh is a ball. The view contains the sphere around its bounding box, which has √3 times the ball's radius and
+    # touches the narrower pair of edges of the picture.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
@@ -170,6 +170,6 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
      ({"mesh": "no.obj"}, FileNotFoundError, r"the mesh file 'no\.obj' does not exist"),
      ({"mesh": None}, TypeError, "mesh must be a trimesh.Trimesh")],
 )  # fmt: skip
-def test_bad_frames(arguments, error, message):
+def test_invalid_arguments_of_fit_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         View.fit(**{"mesh": trimesh.creation.box()} | arguments)

@@ -35,7 +35,7 @@ def decode(value):
     return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 
-def test_arrays_and_units():
+def test_a_surface_has_float32_arrays_relative_to_its_centre_and_radius():
     mesh = square()
     mesh.apply_translation([1e5, 0, 0])
     surface = prepare_surface(mesh)
@@ -44,7 +44,8 @@ def test_arrays_and_units():
         assert (array.shape, array.dtype) == ((4, width), np.dtype(dtype))
     assert (surface.faces.shape, surface.faces.dtype) == ((2, 3), np.int32)
     assert np.linalg.norm(surface.vertices, axis=1).max() == pytest.approx(1.0)
-    # The mesh is at x = 1e5, where float32 has steps of 0.008. Positions relative to a centre are more accurate.
+    # In float32, positions near x = 1e5 are multiples of 0.008. The surface stores positions relative to the mesh's
+    # centre, which are more accurate.
     world = surface.vertices.astype(np.float64) * surface.radius + surface.centre
     np.testing.assert_allclose(world, mesh.vertices, atol=1e-6)
 
@@ -55,7 +56,7 @@ def test_a_tiny_mesh_has_the_same_surface_as_a_large_one():
     np.testing.assert_allclose(small.tangents, large.tangents, atol=1e-6)
 
 
-def test_smooth_normals_of_a_sphere_across_unwelded_faces():
+def test_normals_of_a_sphere_are_smooth_across_unwelded_faces():
     sphere = trimesh.creation.icosphere(subdivisions=3)
     torn = mesh_of(sphere.vertices[sphere.faces.ravel()], np.arange(sphere.faces.size).reshape(-1, 3))
     surface = prepare_surface(torn, tangents=along_x(torn, 0.01, 0.02))
@@ -114,7 +115,8 @@ def test_a_single_tangent_applies_to_all_vertices():
 
 
 def test_normals_stay_on_the_side_of_their_faces_under_an_overhang():
-    # Three faces share a position: two larger ones face down, and one faces up.
+    # Three faces share a position: two larger ones face down, and one faces up. The mean of their normals points down,
+    # but each vertex must have a normal on the side of its own face.
     x, y = [0, 1, 0, 0, -1, 0, 0, 1, 0], [0, 0, 1, 0, 0, 1, 0, 0, -1]
     corners = np.stack([x, y, np.zeros(9, int)], axis=1)
     up = np.repeat([1.0, -1.0, -1.0], 3)[:, None] * [0.0, 0.6, 0.8]
@@ -263,7 +265,7 @@ def test_faces_without_area_are_ignored_with_one_warning():
     assert len(surface.faces) == 2
 
 
-def test_no_colour():
+def test_a_mesh_without_material_has_no_base_colour():
     for mesh in (square(), mesh_of()):
         surface = prepare_surface(mesh, tangents=along_x(mesh))
         assert not surface.has_base_colour
@@ -271,7 +273,7 @@ def test_no_colour():
         np.testing.assert_array_equal(surface.texture, np.zeros((1, 1, 3)))
 
 
-def test_plain_colours():
+def test_a_plain_material_becomes_a_texture_of_one_pixel():
     for material, expected in [
         (SimpleMaterial(diffuse=[255, 51, 0, 255]), (1.0, decode(0.2), 0.0)),
         # The base colour factor of glTF is linear, unlike the diffuse colour of other formats.
@@ -296,7 +298,7 @@ def test_textures_are_decoded_row_0_first():
     np.testing.assert_allclose(grey[0, :, 0], [1.0, decode(0.2)], atol=1e-6)
 
 
-def test_vertex_and_face_colours():
+def test_colours_of_vertices_and_of_faces_are_decoded():
     mesh = mesh_of()
     mesh.visual = ColorVisuals(mesh, vertex_colors=[[255, 0, 0], [0, 255, 0], [0, 0, 255], [51, 51, 51]])
     surface = prepare_surface(mesh, tangents=along_x(mesh))
@@ -339,7 +341,7 @@ def test_scenes_with_two_textures_are_refused():
 
 
 def folded(mesh):
-    """Return the mesh without normals, with a texture that is mirrored at a line along the mesh."""
+    """Return a mesh without normals, whose texture is mirrored at a line along the mesh."""
     uv = np.array(mesh.visual.uv)
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
@@ -367,7 +369,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
 
 
-def test_files(tmp_path, fuze_path):
+def test_mesh_files_are_read_and_other_files_refused(tmp_path, fuze_path):
     with pytest.raises(FileNotFoundError, match=r"the mesh file '.*absent\.obj' does not exist"):
         prepare_surface(tmp_path / "absent.obj")
     for name, text in [("noise.ply", "no mesh"), ("noise.xyz123", "no mesh"), ("points.obj", "v 0 0 0\n")]:
@@ -410,7 +412,7 @@ def nearly_convex(fault):
      (trimesh.creation.annulus(0.5, 1.0, 1.0), False),
      *((nearly_convex(fault), False) for fault in ("flipped", "dented", "speck"))],
 )  # fmt: skip
-def test_convexity(mesh, convex):
+def test_convex_and_nearly_convex_meshes_are_distinguished(mesh, convex):
     surface = prepare_surface(mesh, tangents=along_x(mesh, 0.01, 0.02))
     assert surface.is_convex is convex
 
@@ -430,6 +432,6 @@ def test_convexity(mesh, convex):
      (square(), np.zeros((4, 3)), ValueError, "tangents must define a direction"),
      (square(), np.tile([[0, 0, 1.0]], (4, 1)), ValueError, "tangents must define a direction")],
 )  # fmt: skip
-def test_bad_meshes(mesh, tangents, error, message):
+def test_invalid_meshes_are_refused(mesh, tangents, error, message):
     with pytest.raises(error, match=message):
         prepare_surface(mesh, tangents=tangents)

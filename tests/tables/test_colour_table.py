@@ -76,9 +76,9 @@ def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # test case: a moderate number of neighbours
-        ((64, 64), (9.0, 9.0), 2.5),  # test case: more rows and columns than a SIMD vector has elements
-        ((5, 3), (2.0, 1.6), 2.0),  # test case: a small patch with periodic coefficients
+        ((40, 44), (6.0, 5.0), 22.0),  # patch with a moderate number of neighbours
+        ((64, 64), (9.0, 9.0), 2.5),  # patch with more rows and columns than a SIMD vector has elements
+        ((5, 3), (2.0, 1.6), 2.0),  # patch whose periodic coefficients repeat among the neighbours
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
@@ -143,8 +143,9 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
     """Colour rows computed by the kernel equal float64 sums over spline coefficients of the spectrum.
 
-    Beyond the last octave the spectrum is 0. The spline filter reads ``reach`` samples there. With 0 of them, the first
-    step of the filter affects the result.
+    Beyond the last octave the spectrum is 0. The filter that computes spline coefficients begins ``reach`` samples
+    beyond the spectrum, where the error of its first value decays. With ``reach`` = 0, this first value itself must be
+    correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]

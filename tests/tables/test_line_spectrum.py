@@ -56,8 +56,10 @@ def test_more_rings_have_smaller_errors(fingers, plan, rng):
 
 @pytest.mark.parametrize("incidence_deg", [0.0, 50.0])
 def test_a_mirror_shows_the_source(incidence_deg):
-    """A mirror shows a white source. At a distance d from the mirror direction in (u, v) its brightness is
-    exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the source.
+    """A mirror shows a white source.
+
+    At a distance d from the mirror direction in (u, v) its brightness is exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the
+    source.
 
     The distances are inside and outside of the inner radius of the table.
     """

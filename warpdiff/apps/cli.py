@@ -36,7 +36,8 @@ _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
     "warpdiff.meshes, for example snake:tangent=along"
 )
-# Names on the command line of the Python arguments that have no generated flag. Error messages print these names.
+# Flags by Python argument, for arguments without a generated flag. Error messages print the flag instead of the
+# argument.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
@@ -75,14 +76,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         warnings.showwarning = lambda message, *_, **__: say(": warning: ", message)
         try:
-            # The viewer runs until it is interrupted, and its page shows the progress of pictures.
+            # The command ``view`` has no progress bar in the terminal: it runs until it is interrupted, and its page
+            # shows progress.
             with progress if options.command != "view" else contextlib.nullcontext():
                 options.run(options)
         except KeyboardInterrupt:
             say(": ", "interrupted")
             return 130
         except BrokenPipeError:
-            # The program that reads the output, such as ``head``, has closed the pipe.
+            # The program that reads this command's output, such as ``head``, has closed the pipe. No message is
+            # printed.
             return 1
         except Exception as error:
             if options.debug:
@@ -426,7 +429,7 @@ class _Command(NamedTuple):
         example: Examples in the help.
         add_flags: Function that adds the command's flags to its parser.
         run: Function that runs the command.
-        words: Names on the command line of the Python arguments that have no generated flag.
+        words: Flags by Python argument, for arguments without a generated flag; error messages print them.
     """
 
     what: str

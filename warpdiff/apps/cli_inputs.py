@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-# Synthetic height fields by their name on the command line: function of ``wd.gratings``, and default parameters.
+# Synthetic height fields by their name on the command line. Each has the name of a function of ``wd.gratings`` and
+# default arguments for it.
 GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
     "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
@@ -37,7 +38,8 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
 _LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
-# Name of the environment that is computed instead of loaded, and the default direction to its sun: the upper right.
+# First string: name of the environment that is computed instead of loaded from a file. Second string: default direction
+# to its sun, at the upper right.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 
@@ -94,8 +96,8 @@ def _value(text: str) -> Any:
 
 
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
-    """Return the cleaned height field that the command names: a file or a synthetic grating."""
-    # Commands without a mesh accept it as a positional argument.
+    """Return the height field that the command line names, a file or a synthetic grating, after cleaning."""
+    # Commands that use no mesh accept the height field as a positional argument instead of a flag.
     text = options.scan if options.heightfield is None else options.heightfield
     made = _named(text, GRATINGS, wd.gratings, "heightfield")
     if made is None:
@@ -140,7 +142,7 @@ def coherence_of(options: argparse.Namespace) -> Coherence | None:
 
 
 def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
-    """Return the evaluation settings from the flags by name, including material and coherence."""
+    """Return the keyword arguments of an evaluation that the flags set, including ``material`` and ``coherence``."""
     return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
 
 
@@ -182,7 +184,7 @@ def _named_material(name: str, option: str) -> wd.Material:
 
 
 def illuminant_of(text: str) -> str | wd.Spectrum:
-    """Return the name of an illuminant unchanged, or the spectrum of a temperature such as ``2856K`` or of a file."""
+    """Return the name of an illuminant unchanged, or a spectrum: of a black body such as ``2856K``, or from a file."""
     with renaming({"path": "--illuminant", "temperature_k": "--illuminant"}):
         if re.fullmatch(r"[0-9.]+K", text):
             with contextlib.suppress(ValueError):
@@ -232,7 +234,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
     described = describe(wd.Environment.load)
     values = given(options, described, "environment_")
     words = {name: f"--environment-{described[name].dashed}" for name in described} | {"path": "--environment"}
-    # The ``sequence`` command has no flag ``--environment-behind``.
+    # The command ``sequence`` has no flag ``--environment-behind``, so the parsed arguments may lack it.
     is_behind = getattr(options, "environment_behind", False)
     if options.environment is None:
         if values or is_behind:
@@ -259,7 +261,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
-    """Return mesh, height field and view of a picture. With ``turning``, the view fits the mesh at every rotation."""
+    """Return mesh, height field and view. With ``turning``, the whole mesh stays in view while it rotates."""
     heightfield = height_field_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def integer(text: str) -> int:
-    """Return the integer in a text, for argparse."""
+    """Convert the text after a flag to an integer. argparse shows the message if the text is wrong."""
     try:
         return int(text)
     except ValueError:
@@ -26,7 +26,7 @@ def integer(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """Return the number in a text, for argparse."""
+    """Convert the text after a flag to a number. argparse shows the message if the text is wrong."""
     try:
         return float(text)
     except ValueError:
@@ -46,7 +46,7 @@ _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "c
 
 # Options whose Python value is an array, but which the command line accepts as three numbers.
 VECTORS = ("tangents", "background")
-# Flags of ``Coherence`` whose name differs from the argument's name with dashes.
+# Flags for those arguments of ``Coherence`` whose flag is not the argument's name with dashes.
 COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
 # Cleaning methods of ``HeightField``: the flag that calls the method, and the argument that gets the flag's value.
 CLEANING = {
@@ -90,7 +90,8 @@ class Flags:
         chosen = [
             option for option in options.values() if (option.kind != "object" if only is None else option.name in only)
         ]
-        # All flags get their names before any help text is written, because one help text may name another option.
+        # The names of all flags are stored before any help text is written, because one help text may mention another
+        # flag.
         for option in chosen:
             negation = "no-" if option.kind == "flag" and option.default is True else ""
             flag = (names or {}).get(option.name) or f"--{negation}{prefix}{option.dashed}"
@@ -109,12 +110,15 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store the names for messages in the parsed arguments. ``words`` adds names for arguments without a flag."""
+        """Store in the parsed arguments by which flags messages name Python arguments.
+
+        ``words`` names the arguments that have no generated flag.
+        """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
 
 def _shape(option: Option) -> dict[str, Any]:
-    """Return argparse's keywords for a flag: type, number and placeholder of its values."""
+    """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name in VECTORS:
         return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
@@ -127,7 +131,7 @@ def _shape(option: Option) -> dict[str, Any]:
 
 
 def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
-    """Return the help text of a flag: meaning, range or choices, and default, with the names of the command line."""
+    """Return the help text of a flag: meaning, range or choices, and default. It calls options by their flags."""
 
     def code(match: re.Match[str]) -> str:
         name, equals, value = match[1].partition("=")

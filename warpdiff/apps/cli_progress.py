@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 # Time from the start of a command to its first sign of progress, and between two updates of a bar [s]. Derived: imports
 # take less than another second, so a user waits for at most 2 s. Twice the value doubles that wait.
 _FIRST_S = 1.0
-# Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the lines.
+# Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the number
+# of lines.
 _MOST_BETWEEN_LINES_S = 600.0
 
 
@@ -50,7 +51,7 @@ class CommandProgress:
         self._thread.join()
 
     def print(self, text: str, stream: TextIO) -> None:
-        """Print a line to a stream at once, not into the line of the bar."""
+        """Print a line to a stream immediately. A progress bar is erased first, so that the texts do not mix."""
         with self._lock:
             if self._bar is not None:
                 self._bar.clear()
@@ -70,7 +71,8 @@ class CommandProgress:
         from tqdm import tqdm
 
         with self._lock:
-            # The clock of the bar includes the time before its display.
+            # The elapsed time that the bar shows counts from the start of the command, not from the first display of
+            # the bar.
             self._bar = tqdm(
                 total=1.0, desc=self._command, file=self._stream, leave=False, delay=_FIRST_S,
                 bar_format="{desc}  {bar}  {percentage:3.0f} %  {elapsed}",
@@ -98,5 +100,6 @@ class CommandProgress:
                     file=self._stream,
                     flush=True,
                 )
-            # The time between lines is the time so far: 1, 2, 4, 8 s and so on.
+            # The interval until the next line equals the time elapsed so far, so that lines appear after 1, 2, 4, 8 s
+            # and so on.
             interval = min(elapsed, _MOST_BETWEEN_LINES_S)

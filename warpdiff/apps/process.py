@@ -1,7 +1,7 @@
 """Signals, exit codes and standard streams of the command line's process. The library itself handles no signals.
 
-A process that a signal ends deletes its unfinished files, and its exit code is 128 plus the signal's number. Standard
-streams may be closed, full, or unable to encode every character.
+A process that a signal ends deletes its unfinished files, and its exit code is 128 plus the signal's number. Messages
+are also safe if a standard stream is closed or full, or cannot encode every character.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class Interruption:
         self._returned = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
-        # Functions registered with atexit run in reverse order. `_ignore` is registered first and therefore runs last.
+        # Functions registered with atexit run in reverse order. ``_ignore``, which disables the signals, is registered
+        # first and therefore runs last.
         atexit.register(self._ignore)
         # Compilers and other programs that this process starts put their temporary files into the folder of ``TMPDIR``.
         # This process sets ``TMPDIR`` to a folder of its own, which it deletes at its end.
@@ -83,7 +84,7 @@ class Interruption:
         raise KeyboardInterrupt
 
     def _swallowed(self, unraisable: Any) -> None:
-        """End the process if an interruption was raised in a finalizer, where Python would discard the exception."""
+        """End the process if a signal raised ``KeyboardInterrupt`` in a finalizer, where Python would ignore it."""
         if self._code is not None and issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._leave(self._code)
         self._unraisable(unraisable)
@@ -107,7 +108,8 @@ class Interruption:
     def _folders(self) -> list[Path]:
         """Return the temporary folders of this process that still exist."""
         folders = [Path(self._temporary.name)] if self._temporary is not None else []
-        # Warp compiles kernels in folders whose names contain the number of the process.
+        # Warp compiles kernels in temporary folders. Their names contain the process id, by which this process finds
+        # its own.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
         if kernels:
             folders += Path(kernels).glob(f"*_p{os.getpid()}_t*")

@@ -44,24 +44,25 @@ _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5),
 # Wavelength at which the grid of a table must resolve a lobe [µm]. Lobes of shorter wavelengths are narrower, but
 # contribute little to the visible colour.
 _BLUE_UM = 0.43
-# First number: largest error of truncating the functions of w, as a share of the tolerance. Second number: relative
-# tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
+# First number: largest error from the truncated set of functions of w, as a share of the tolerance. Second number:
+# relative tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# Typical number of colours that a table samples, and limit on the estimated time of sampling them [s on one core]. The
-# estimate is an upper limit: for a source of 2° over a patch of 12.8 µm, it is 83 s, and the measured time is 25 s.
+# First number: typical number of colours that are computed for a table. Second number: limit on the estimated time for
+# them [s on one core]. Estimates are too long: for a source of 2° over a patch of 12.8 µm, 83 s were estimated and 25 s
+# measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
 # their colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# Number of entries of a table over |w|, and over |κ| for the zeroth order.
+# Number of samples over |w| in a table's functions, and over |κ| in its zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
 # Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
 # from which they are selected, and random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# First number: luminance Y to which each colour is scaled before ΔE2000 is computed. Second number: floor, as a share
-# of the reference luminance. All colours below the floor are scaled by the same factor and remain darker than Y.
+# First number: luminance Y to which a colour is scaled before its ΔE2000 is computed. Second number: luminance below
+# which colours all get the same scale factor, so that they remain dark, as a share of the reference luminance.
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170
@@ -222,7 +223,7 @@ class _Bakery:
         return scattering_vectors[places], gains[places], colours[places], level
 
     def _colours(self, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return XYZ without the zeroth order, for geometry factors of 1 and a source at normal incidence, (n, 3)."""
+        """Return XYZ of scattering vectors, without zeroth order and for geometry factors of 1, shape (n, 3)."""
         count = len(scattering_vectors)
         above = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1))
         xyz = wp.zeros(count, dtype=wp.vec3f, device=self._evaluation.device)
@@ -238,7 +239,7 @@ class _Bakery:
         return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return colours divided by w² at points (u, v) and at all nodes of |w|, shape (n, 3, nodes)."""
+        """Return XYZ / w² at points (u, v), shape (n, 2), for every tabulated |w|, shape (n, 3, nodes)."""
         return np.stack([self._at(uv, w) for w in self._ws], axis=2)
 
     def _at(self, uv: NDArray[np.float64], w: float) -> NDArray[np.float64]:
@@ -246,7 +247,7 @@ class _Bakery:
 
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
-        """Return as few orthonormal functions of |w| as their share of the tolerance permits, shape (nodes, K)."""
+        """Return the fewest orthonormal functions of |w| that meet their share of the tolerance, shape (nodes, K)."""
         samples = self._over_w(self._sampled(_SEED + 1)[0][:, :2])
         sizes = np.sqrt(np.mean(samples**2, axis=2, keepdims=True))
         rows = (samples / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))

@@ -98,7 +98,10 @@ def bake_spectrum(
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
-    """Return the means of the Gaussians exp(−(falloff (q − q_r))²) over the cells of an axis, (size, orders)."""
+    """Return how much of each cell of an axis the Gaussian lobe of each order fills on average, shape (size, orders).
+
+    The lobe of the order at q_r is exp(−(falloff (q − q_r))²), where q_r is an element of ``orders``.
+    """
     from scipy.special import erf
 
     edges = np.linspace(-largest, largest, size + 1)

@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 LARGEST_W = 2.0
 # Largest |κ| at which the zeroth order is tabulated [1/µm]. Derived: largest |w| over shortest visible wavelength.
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
-# Limit: number of functions of w, so that a shader can store their values in its registers.
+# Largest number of functions of w in a table. Limit: a shader stores the values of all functions in its registers.
 MOST_W_BASIS = 16
-# Number of wavelengths in the integral of the zeroth order.
+# Number of wavelengths over which the zeroth order is summed.
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
-# Limits on the grid that a loaded file may have: rings per octave, octaves, and azimuth samples per ring.
+# Largest numbers that the grid of a loaded file may have: rings per octave, octaves, and azimuth samples per ring.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
-# Limits on arguments: size of a Cartesian grid [cells per side], and wavelength at which a lobe's variance is computed
+# Largest values of arguments: cells per side of a Cartesian grid, and wavelength at which a lobe's variance is computed
 # [µm].
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
@@ -199,7 +199,7 @@ class BakedLobes(table_files.SavedTable):
     def reflectance(
         self, to_light: ArrayLike, to_view: ArrayLike, *, ior: float | None = None, masking: bool = True
     ) -> NDArray[np.float32]:
-        """Return colours like :func:`warpdiff.reflectance`; ``error`` is the 99th percentile of their ΔE2000.
+        """Return colours like :func:`warpdiff.reflectance`, but from the table, with the error that ``error`` states.
 
         Args:
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
@@ -272,7 +272,7 @@ class BakedLobes(table_files.SavedTable):
 
 
 def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
-    """Return R(0) for an index of refraction, where None is 1.5; or 1 for lobes with a baked material."""
+    """Return R(0) for an index of refraction, in which None means 1.5. For lobes with a baked material, return 1."""
     if not lobes.has_material:
         return check_reflection(ior, None)[0]
     if ior is not None:
@@ -287,6 +287,6 @@ def zeroth_order_power(lobes: BakedLobes, w: NDArray[np.float64], wavenumber: fl
         return power
     low, high = colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM
     at = np.full(1, (1e3 / wavenumber - low) / (high - low))
-    # In the mirror direction, cos θd is |w|/2.
+    # The reflectance depends on θd, half the angle between light and view. In the mirror direction, cos θd is |w|/2.
     reflectances = between_entries(between_entries(lobes.reflectances.T, at).T, w / LARGEST_W)[:, 0]
     return np.asarray(power * reflectances)

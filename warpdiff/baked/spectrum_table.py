@@ -15,7 +15,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Limit: number of cells per side; memory is proportional to its square.
+# Largest number of cells per side. Limit: memory is proportional to its square.
 _MOST_SIZE = 8192
 
 

@@ -30,7 +30,7 @@ class SavedTable:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """Make a table from a file's arrays. If the arrays do not describe one, an exception of any type is raised."""
+        """Make a table from the arrays of a file. Arrays that describe no table raise an exception of any type."""
         return cls(**{name: value if value.ndim else float(value) for name, value in arrays.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -89,8 +89,8 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
 def _code_digest(*folders: Path) -> str:
     """Return a hash of all source files in folders.
 
-    The hash is a part of the cache's keys, so that arrays of older source code are not reused. A version number does
-    not change with each edit.
+    The hash is a part of the cache's keys, so that arrays that older source code has made are not reused. The version
+    number would not suffice, because it does not change with each edit.
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):

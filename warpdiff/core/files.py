@@ -47,7 +47,7 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 
 
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
-    """Write arrays by name to a ``.npz`` file, the argument ``path``, atomically."""
+    """Write arrays by name to a ``.npz`` file, which is complete or unchanged. Errors name the argument ``path``."""
     target = validation.path(path, "path")
     if target.suffix.lower() != ".npz":
         raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
@@ -98,7 +98,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Context for checking a value that was read from a file; errors name the file instead of an argument.
+    """Context for checking a value from a file. An error about the value names the file instead of an argument.
 
     Args:
         argument: Argument that the errors in the context name.
@@ -112,7 +112,7 @@ def holding(argument: str, file: Path) -> Iterator[None]:
 
 
 def read_text(file: Path, most_bytes: int = 16 << 20) -> str:
-    """Read the text of a file, the argument ``path``; bytes that are not UTF-8 become question marks.
+    """Read the text of a file; bytes that are not UTF-8 become question marks. Errors name the argument ``path``.
 
     Raises:
         FileNotFoundError: The file does not exist.

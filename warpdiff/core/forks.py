@@ -72,8 +72,8 @@ def finish_imports() -> None:
     """Wait until no other thread is importing a slow module."""
     while names := importing():
         for name in names:
-            # An import of the same module waits until the other thread has finished. If the import fails, the other
-            # thread reports it.
+            # Importing the same module here waits until the other thread has imported it. If the import fails, the
+            # other thread raises the error.
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
 

@@ -20,7 +20,8 @@ _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Memory limits of a control group that are at least this large mean "no limit" [bytes]. Limit: no machine has so much
 # memory.
 _NO_LIMIT = 2**60
-# Pattern of the messages of failed allocations, in a MemoryError of NumPy or a RuntimeError of Warp.
+# Pattern of the messages of failed allocations, by which a MemoryError of NumPy or a RuntimeError of Warp is
+# recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # Measured peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per
@@ -42,7 +43,8 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
     """
     free = available()
     if needed > free:
-        # The factor of 0.9 ensures that the request still fits after the fraction is rounded to two digits.
+        # The message states which fraction of the request would fit, rounded to two digits. The factor of 0.9 ensures
+        # that the rounded fraction fits, too.
         share = 0.9 * max(free, 0.0) / needed
         fits = remedy.format(share=f"{share:.2g}", side=f"{math.sqrt(share):.2g}")
         size = f"about {needed / 1e9:.2g} GB, and {max(free, 0.0) / 1e9:.2g} GB are free"
@@ -105,7 +107,8 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             # Every parent group may have a limit, too. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # A group without a limit has the text "max" in this file, or, in version 1, a huge number.
+                    # Without a limit, the file of the group contains the text "max" (version 2), or a huge number
+                    # (version 1).
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:
                         limits.append((limit, folder / f"memory.{usage}", folder / "memory.stat"))
@@ -131,7 +134,8 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:
         refused = _REFUSED.search(str(error))
         if refused is None and (error.args or not isinstance(error, MemoryError)):
-            # Either the error is not a failed allocation, or it is a ``MemoryError`` that already contains a remedy.
+            # The error is raised unchanged: it is not a failed allocation, or it is a ``MemoryError`` that already
+            # contains a remedy.
             raise
         raise marked(MemoryError, _description(refused, what, remedy)) from error
 
@@ -139,7 +143,7 @@ def as_memory_error(what: str, remedy: str) -> Iterator[None]:
 def _description(refused: re.Match[str] | None, what: str, remedy: str) -> str:
     free = f"{max(available(), 0.0) / 1e9:.2g} GB are free: {remedy}"
     if refused is None:
-        # The MemoryError of Python's own allocations has no message.
+        # A MemoryError that Python itself raises has no message, so the size of the failed allocation is unknown.
         return f"{what} requires more memory than is free; {free}"
     size = f"{float(refused['size']) * _UNITS[refused['unit']] / 1e9:.2g}"
     if refused["device"] in (None, "cpu"):

@@ -178,7 +178,7 @@ def _choices_of(literal: Any) -> tuple[str | int, ...]:
 
 
 class _Anything(type):
-    """Metaclass of a class that has every attribute. Such a class replaces modules that only type checkers import."""
+    """Metaclass of a class that has every attribute. Such a class stands for modules that only type checkers import."""
 
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("_"):
@@ -198,7 +198,7 @@ class _Unknown(metaclass=_Anything):
 
 
 class _Names(dict[str, object]):
-    """Namespace of the annotations of a class or function; names that only type checkers import are ``_Unknown``."""
+    """Namespace for evaluating annotations; names that only type checkers import have a placeholder as their value."""
 
     def __init__(self, owner: type | Callable[..., object]) -> None:
         self._modules = [sys.modules[base.__module__] for base in getattr(owner, "__mro__", (owner,))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -14,7 +15,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -52,9 +53,15 @@ class Table:
     """
 
     def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
+        if not isinstance(columns, Mapping):
+            raise ArgumentTypeError(f"{ref('columns')} must be a dictionary of arrays, got {type(columns).__name__}")
         self._columns: dict[str, NDArray[Any]] = {}
-        for name, values in dict(columns).items():
-            column = np.array(values)
+        for name, values in columns.items():
+            try:
+                column = np.array(values)
+            except (TypeError, ValueError):
+                # NumPy raises an error for rows of different lengths.
+                column = np.array(None)
             if column.dtype.kind not in "biufU":
                 raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")
             if column.ndim != 1:

@@ -29,7 +29,7 @@ _T = TypeVar("_T")
 
 
 class _None:
-    """Type of a marker for the end of a loop's items; None cannot mark it, because None may be an item."""
+    """Type of the marker for the end of a loop's items. None cannot be the marker, because None may be an item."""
 
 
 _NONE = _None()
@@ -153,7 +153,8 @@ def _pool() -> ThreadPoolExecutor:
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
-# Number of active `single_threaded_blas` contexts, and the thread counts of the libraries before the first context.
+# First: number of active contexts of `single_threaded_blas`. Second: number of threads that each library of linear
+# algebra had before the first of these contexts.
 _contexts = 0
 _former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()
@@ -205,7 +206,7 @@ def _restore(libraries: Iterable[tuple[LibController, int]]) -> None:
 
 
 def _end() -> None:
-    """Restore the thread counts of linear algebra, after the last context or in a forked child process."""
+    """Restore the numbers of threads of the linear algebra, after the last context or in a forked child process."""
     global _contexts  # noqa: PLW0603 (a counter of the process, changed under a lock)
     _restore(_former.values())
     _former.clear()

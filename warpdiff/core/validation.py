@@ -24,8 +24,8 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Largest accepted integer, that of int64; larger ones would overflow.
 MOST_COUNT = 2**63 - 1
-# Vectors whose components are multiples of this angle, the largest within these limits, look like degrees. Limit:
-# components of directions are rarely as long and as round.
+# Vectors that look like angles in degrees: all components are multiples of the first number or ±1, and the largest is
+# between the second and the third number. Limit: unnormalised directions rarely have such components.
 _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 
@@ -171,7 +171,7 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
 
 
 def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
-    """Return `directions` of a caller, with a warning if they look like angles in degrees."""
+    """Return directions as unit vectors, and whether there was one; warn if they look like angles in degrees."""
     result = directions(value, name)
     if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
         first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])
@@ -183,7 +183,10 @@ def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool
 
 
 def _look_like_degrees(vectors: NDArray[np.float64]) -> bool:
-    """Whether vectors, shape (n, 3), consist of round angles, or of 1, and at least two components are not 0."""
+    """Whether all components of vectors, shape (n, 3), look like round angles in degrees, or are ±1.
+
+    A vector with a single component that is not 0, such as (0, 0, 45), is a direction along an axis and does not count.
+    """
     if not vectors.size or not _LEAST_DEGREES <= max(vectors.max(), -vectors.min()) <= _MOST_DEGREES:
         return False
     sizes = np.abs(vectors)

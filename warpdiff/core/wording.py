@@ -38,7 +38,7 @@ def python_word(name: str, value: str | None) -> str:
 
 
 def spelled(message: object, word: Callable[[str, str | None], str] = python_word) -> str:
-    """Return the text of a message, an error or a warning; ``word(name, value)`` spells each marked argument."""
+    """Return the text of an error or a warning, in which ``word(name, value)`` has replaced each marked argument."""
     text = getattr(message, "marked", None) or str(message)
     return _MARKED.sub(lambda match: word(match[1], match[2]), text)
 
@@ -63,7 +63,7 @@ class ArgumentTypeError(_MarkedError, TypeError):
 
 
 def marked(kind: type[_E], message: str) -> _E:
-    """Return an error of another class, such as ``MemoryError``; in ``message``, :func:`ref` has marked arguments."""
+    """Return an error of class ``kind``, such as ``MemoryError``. In its message, :func:`ref` has marked arguments."""
     error = kind(spelled(message))
     error.__dict__["marked"] = message
     return error

@@ -34,11 +34,11 @@ _MOST_WAIT_S = 1.0
 def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # By default Warp prints a banner, and a line for each module that it loads. This level suppresses both.
+    # By default, Warp prints a banner and a line for each module that it loads. At this log level it prints neither.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
-        # Without a home folder Warp would create a folder named "~" in the working directory.
+        # If the user has no home folder, Warp would create a folder named "~" in the working directory.
         wp.config.kernel_cache_dir = _own_folder().name
     _start(asks_for_cuda=device is not None and "cpu" not in str(device))
     try:
@@ -91,9 +91,9 @@ def resolve_threads(threads: int | None) -> int:
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
-    """Start to compile or load kernels for the CPU on other threads; return their futures.
+    """Start to compile or load kernels for the CPU on other threads, and return the futures of this work.
 
-    The first compilation on a thread reads Warp's headers, which takes seconds. Two threads do this at the same time.
+    The first compilation on a thread requires seconds to read Warp's headers. Two threads do this at the same time.
     """
     if not device.is_cpu:
         return []
@@ -101,13 +101,13 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # Launches on the CPU use modules compiled for blocks of one thread.
+                # CPU kernels are compiled for blocks of one thread, because Warp launches them in this way.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
 
 def load_now(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
-    """Compile or load kernels and wait for them, so that threads do not compile the same module at once."""
+    """Compile or load kernels, and wait until they are ready. Threads that launch them then need not compile them."""
     for loaded in load(kernels, device):
         loaded.result()
 
@@ -142,15 +142,15 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Descriptions of work that other threads had not finished when this process was forked. Threads do not survive a fork,
-# so this work never finishes in this process.
+# Work that other threads had not finished when this process was forked, as texts for error messages. A fork copies only
+# the calling thread, so that this work never finishes.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
-    """Raise an error if this process was forked during work of another thread.
+    """Raise an error if this process was forked while another thread compiled kernels or imported a module.
 
-    Kernels would wait for that work for ever.
+    Without the error, kernels of this process would wait for that work for ever.
     """
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
@@ -165,20 +165,22 @@ def codegen_lock() -> threading.Lock | None:
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# The lock of :func:`codegen_lock` while this process forks; otherwise empty.
+# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise it is
+# empty.
 _acquired: list[threading.Lock] = []
-# Futures of the modules that were loaded before a fork, for the child process. They are new objects, because another
-# thread may hold the locks of the original ones during the fork.
+# New futures, for a forked child process, of the modules that were loaded before the fork. The original futures have
+# locks, which another thread may hold during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
 def _before_fork() -> None:
-    """Wait up to ``_MOST_WAIT_S`` for kernels that are being compiled or loaded."""
+    """Wait for kernels that are being compiled or loaded, up to a time limit, and store which of them are loaded."""
     done, _ = wait(_loading.values(), timeout=_MOST_WAIT_S)
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # If loading succeeded, the exception is None. ``set_exception`` then only marks the new future as done.
+            # The new future gets the result of the original one: its exception, or None if the kernels were loaded
+            # without error.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):
@@ -192,7 +194,7 @@ def _release() -> None:
 
 
 def _in_child() -> None:
-    """In the child process, restore which modules are loaded, and record other threads' work that was not finished."""
+    """In a forked child process, note which modules are loaded and which work of other threads will never finish."""
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)
@@ -205,8 +207,8 @@ def _in_child() -> None:
         lock.release()
 
 
-# At a fork, the functions registered last run first: imports finish, then ``_load_lock`` prevents further loads, then
-# ``_before_fork`` waits for running loads.
+# The functions registered for a fork run in reverse order: the last one waits for imports, the second one prevents that
+# another thread loads kernels, and the first one waits for kernels that are being loaded.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

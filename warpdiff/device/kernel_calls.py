@@ -1,6 +1,6 @@
-"""Pipelines of kernel calls.
+"""Pipelines of kernel calls: several kernels in sequence over the same elements.
 
-A GPU launches each kernel over all elements; CPU threads process slices of the elements.
+A GPU launches each kernel over all elements. On the CPU, threads process slices of the elements.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Default number of elements per slice on the CPU. Choice: with fewer elements, the overhead of launches is larger.
 ELEMENTS_OF_SLICE = 512
-# A thread processes several slices before it checks for interrupts and reports progress. Limits: the largest number of
-# elements until then, and the least number of such turns per thread.
+# On the CPU, a thread processes several slices in one turn; between turns it checks for interrupts and reports
+# progress. First number: largest number of elements per turn. Second number: least number of turns per thread.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
@@ -37,7 +37,7 @@ class KernelCall:
         in_runs: Whether the kernel has another input ``run`` after ``first``: the number of indices that one thread
             processes in a loop. On the CPU, one run is a slice. The kernel's arguments, up to a kilobyte, are then read
             once per slice instead of once per index.
-        block: Number of elements per index of the kernel, for example the cells of a pixel.
+        block: Number of elements that the kernel processes per index, for example all cells of a pixel.
         free: Launches that Warp has recorded on the CPU for repeated use, and that no thread is using now.
     """
 
@@ -49,16 +49,16 @@ class KernelCall:
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
-        """Launch the kernel over elements, with one thread per index: on a GPU, or while a graph is recorded."""
+        """Launch the kernel over elements on a GPU, or while a graph is recorded. Each thread processes one index."""
         inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
     def arguments(self, first: int, run: int) -> list[Any]:
-        """Return all inputs of a launch whose first thread has the index ``first``."""
+        """Return all inputs of a launch that begins at the index ``first``. Each thread processes ``run`` indices."""
         return [*self.inputs, first, run] if self.in_runs else [*self.inputs, first]
 
     def recorded(self) -> _Recorded:
-        """Return a recorded launch for the calling thread. The thread must append it to ``free`` after use."""
+        """Return a recorded launch that no other thread is using. The caller must add it to ``free`` after use."""
         try:
             return self.free.pop()
         except IndexError:
@@ -97,9 +97,9 @@ class Pipeline:
         self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_once: int) -> Callable[[], None]:
-        """Return a function that launches the kernels over the next ``at_once`` slices of ``size`` elements.
+        """Return a function that processes the next ``at_once`` slices, each of ``size`` elements, with all kernels.
 
-        Several threads may call the function at the same time; no slice is taken twice.
+        Several threads may call the function at the same time. Each slice is processed once.
         """
         begins, lock = iter(elements[::size]), threading.Lock()
 
@@ -150,15 +150,14 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # A slow thread may not have taken all slices of its turn when others finish. The additional calls take these
-        # slices.
+        # The last slices may be in the turn of a thread that has not begun yet. One additional call per thread lets the
+        # other threads take such slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return
     for step in steps if indices else ():
         step.launch(indices, device)
     if progress is not None:
-        # Progress is reported after all launches have finished. Without a callable there is no need to wait here,
-        # because reading the results waits.
+        # A caller that reports progress must first wait for the GPU. Other callers wait when they read the results.
         wp.synchronize_device(device)
         progress(1.0)

@@ -1,7 +1,8 @@
-"""Expansion of Fourier coefficients in functions of κ: each coefficient is a row of weights times a shared basis.
+"""Expansion of Fourier coefficients in functions of κ, which all coefficients share: a coefficient is a row of weights.
 
-``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``), whose rows
-are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for the range of κ that a call requires:
+The functions of κ are called the basis. ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the
+exponential (``phase_series``), whose rows are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for
+the range of κ that a call requires:
 
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. Its
   rows are half as long as those of amplitudes and need not be squared. It is available only if powers add.
@@ -33,34 +34,37 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Entries of the table of a basis per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}. The error of cubic
-# interpolation is 0.023/16⁴ = 4e-7. If heights are measured from the middle of their range, amplitudes oscillate half
-# as fast, and their error is 2e-8.
+# Number of entries in the table of a basis over κ, per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}.
+# The error of cubic interpolation between entries is 0.023/16⁴ = 4e-7. Amplitudes oscillate half as fast, if heights
+# are measured from the middle of their range, and their error is 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of intervals in the table of a basis. It applies to shallow surfaces, whose powers do not oscillate
-# but grow as κ²ⁿ.
+# Smallest number of steps in the table of a basis over κ. It is for shallow surfaces, whose powers do not oscillate
+# over κ but grow as κ²ⁿ.
 _FEWEST_STEPS = 64
-# Truncation error of the series to which bases are fitted, about the rounding error of float32.
+# Largest truncation error of the Jacobi-Anger series to which other bases are fitted: about the rounding error of
+# float32.
 _SERIES_TOLERANCE = 1e-7
-# Truncation error at which no further terms of a fitted basis are added, about the rounding error of float32.
+# Truncation error below which a fitted basis gets no further terms, about the rounding error of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# Number of the largest coefficients, which together have the same weight in a fit as all coefficients. Without this
-# weight, the specular reflection would be only one coefficient of a million.
+# Number of the largest coefficients to which the fit of a basis gives a special weight: together they have the same
+# weight as all coefficients. Otherwise the specular reflection, which is only one of a million coefficients, would
+# hardly affect the fit.
 _STRONGEST_ROWS = 64
-# Number of coefficients on which truncation errors are measured.
+# Number of coefficients of a height field on which the truncation error of a fitted basis is measured.
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors that is reported; 0.1 % of the coefficients may have larger errors.
 _PERCENTILE = 99.9
-# Power of the rounding noise of the Fourier transforms, relative to the power of a mirror. In a fit, errors of a
-# coefficient are divided by its size, but at least by the size of this noise.
+# Power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A fit minimises the errors
+# of coefficients relative to their size; coefficients smaller than this noise count as being of this size.
 _NOISE_POWER = 1e-26
-# Errors of coefficients are divided by |κ|, but by at least this share of the largest |κ|. If the share is smaller, the
-# specular coefficient, which does not vanish at κ = 0, loses digits.
+# Smallest |κ| that is a divisor of errors in a fit, as a share of the largest |κ|. A fit minimises errors relative to
+# |κ|, because all coefficients except the specular one vanish at κ = 0. With a smaller share, the specular coefficient
+# would lose digits.
 _SMALL_KAPPA = 0.1
-# Limit: number of coefficients that are processed at once; memory is proportional to it.
+# Number of coefficients that a fit processes at once. Limit: memory is proportional to it.
 _CHUNK = 65_536
-# Limit on the values of a Taylor basis, within the range of float32. Only a series at a κ far beyond its range of
-# convergence in float32 exceeds the limit.
+# Limit to which the values of a Taylor basis are clipped, within the range of float32. Only κ far beyond those at which
+# the series converges in float32 give larger values.
 _LARGEST = 1e30
 
 
@@ -100,7 +104,10 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Flat indices of the largest coefficients at a middle |κ| of the range, and their powers, descending."""
+        """Return the flat indices of the largest coefficients, and their powers in descending order.
+
+        The powers are those at one |κ| in the middle of the range.
+        """
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
         parts = np.einsum("yxpt,t->yxp", self.rows, self.basis_at(np.array([middle]))[0].astype(np.float32))
@@ -117,12 +124,12 @@ class Coefficients:
 
 
 def holds_powers(method: str, *, adds_powers: bool) -> bool:
-    """Whether a method expands powers |H|² instead of amplitudes H."""
+    """Whether the rows of a method expand powers |H|². Otherwise they expand amplitudes H."""
     return method == "power" or (method == "low-rank" and adds_powers)
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |κ| [1/µm]."""
+    """Return the number of terms that the Jacobi-Anger series requires before a basis can be fitted to it."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -133,9 +140,10 @@ def of_series(
     heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
 ) -> Coefficients:  # fmt: skip
-    """Expand the coefficients of a block of frequencies in a series of ``EXPANSIONS``, for a range of |κ| [1/µm].
+    """Return the coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
 
-    ``threads`` is the number of transforms that run in parallel.
+    ``kappas`` is the range of |κ| [1/µm] for which the basis is tabulated. ``threads`` is the number of Fourier
+    transforms that run in parallel.
     """
     expansion = EXPANSIONS[method]
     series = series_coefficients(
@@ -143,7 +151,7 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The argument of the series is negative, because κ = w/λ is negative.
+    # The series is evaluated at x = 2πκa. Its argument x is negative, because κ = w/λ is negative.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -153,14 +161,15 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """Expand the coefficients in a basis fitted to them over a range of |κ| [1/µm], with the accuracy of float32.
+    """Return the coefficients in a basis that is fitted to them, with the accuracy of float32.
 
-    ``method`` is ``"low-rank"`` or ``"power"``; ``series`` is the Jacobi-Anger series of ``series_terms`` terms.
+    ``kappas`` is the range of |κ| [1/µm]. ``method`` is ``"low-rank"`` or ``"power"``; ``series`` is the Jacobi-Anger
+    series of ``series_terms`` terms.
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The Chebyshev nodes cover all entries of the basis table, which extend slightly beyond the range of |κ|.
-    # Extrapolation from the nodes is thus avoided.
+    # The coefficients are evaluated at Chebyshev nodes over all |κ| of the basis table. The table extends slightly
+    # beyond the required range, and so do the nodes: extrapolation would be inaccurate.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -170,8 +179,8 @@ def fitted(
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
-    # Towards κ = 0, all coefficients except the specular one vanish like κ, and their powers like κ². The weights make
-    # errors relative to κ or κ².
+    # Near κ = 0, all coefficients except the specular one are proportional to κ or smaller, and their powers to κ². The
+    # weights therefore make the fit minimise errors relative to κ or κ².
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -196,12 +205,12 @@ def fitted(
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
-    """Return the fastest oscillation of a power over κ [rad·µm]."""
+    """Return the highest angular frequency at which a power oscillates over κ [rad·µm]: 2π times the height range."""
     return max(2.0 * math.pi * heightfield.height_range_um, 1e-3)
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Return the step of |κ| in a table of a basis, its number of steps above the least |κ|, and its last |κ|."""
+    """Return the step of |κ| in the table of a basis, the number of steps from the least |κ|, and the largest |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -209,13 +218,13 @@ def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[flo
 
 
 def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """Return the step of |κ| and all |κ| of the entries in the table of a basis [1/µm]."""
+    """Return the step of |κ| in the table of a basis [1/µm], and the |κ| of all its entries."""
     step, count, _ = _entries(heightfield, kappas)
     return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 
 
 def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the real and imaginary parts of the coefficients at −κ, shape (coefficients, 2, m)."""
+    """Return the coefficients of a series at κ = −``kappas``, real and imaginary parts, shape (coefficients, 2, m)."""
     expansion = EXPANSIONS["jacobi-anger"]
     argument = -2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * kappas
     basis = expansion.basis(argument, series.terms).T.astype(np.float32)
@@ -226,7 +235,11 @@ def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[n
 def _principal_functions(
     values: NDArray[np.float32], weights: NDArray[np.float64], scales: NDArray[np.float32], strongest: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the orthonormal principal functions of all coefficients over κ, at m nodes, by size, shape (m, m)."""
+    """Return the principal functions of κ of all coefficients, orthonormal, in order of importance, shape (m, m).
+
+    They are sampled at m Chebyshev nodes. The first n of them represent the coefficients better than any other n
+    functions.
+    """
     count = values.shape[-1]
     gram = np.zeros((count, count))
     for first in range(0, len(values), _CHUNK):
@@ -241,7 +254,11 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return truncation errors with 0, 1, … terms: the percentile ``_PERCENTILE`` of coefficients' largest errors."""
+    """Return the truncation error of a basis with 0, 1, 2, … terms.
+
+    A coefficient's error is its largest one over κ. The truncation error is the percentile ``_PERCENTILE`` of these
+    errors over the sampled coefficients.
+    """
     rows = sample @ principal
     remaining = sample.copy()
     result = [1.0]

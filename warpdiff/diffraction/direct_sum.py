@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Distance of the farthest coefficient that the sum includes, in standard deviations of the Gaussian weight. The weight
+# Distance from q up to which the sum includes coefficients, in standard deviations of their Gaussian weight. The weight
 # at this distance is e^−32.
 _WIDTHS = 8.0
-# Peak memory per entry of the arrays of phases and coefficients [bytes], counted from the code.
+# Peak memory of the sum per height sample and per coefficient [bytes], counted from the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -45,7 +45,7 @@ def window_power(
         scattering_vectors: Scattering vectors (u, v, w) = −ωi − ωr, shape (n, 3).
         wavelengths_um: Wavelengths [µm], shape (m,).
         to_lights: Unit vectors ωi above the horizon, shape (n, 3); required for a source, which is foreshortened.
-        progress: Function that is called with the finished share.
+        progress: Function that is called with the finished share of the work, 0 to 1.
 
     Returns:
         ⟨|P|²⟩, float64, shape (n, m); 1 for a flat surface at u = v = 0.
@@ -74,29 +74,32 @@ def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
 ) -> float:  # fmt: skip
-    """Return the sum over coefficients H_rs near q: Σ |H|² e^(−a d²), or |Σ H e^(−a d²)|² for a centred window."""
-    # The exponent is a (d² + (d·t)²/cos²θi) with d = q − q_rs. For a source, t is the tangential part of the direction
-    # to the light: a source is a disc on the sky, and its projection to the surface is shorter along t. For windows,
-    # which are isotropic, t = 0.
+    """Return Σ |H|² e^(−a d²) over the coefficients H near q, or |Σ H e^(−a d²)|² for a centred window.
+
+    d is the distance in frequency of a coefficient from q = (u, v)/λ, and a is the falloff of the Gaussian weight.
+    """
+    # The Gaussian weight of a coefficient at q_rs is exp(−a (d² + (d·t)²/cos²θi)), where d = q − q_rs. For a source, t
+    # is the tangential part of the direction to the light: the disc of the source, projected to the surface, is shorter
+    # along t. Windows are isotropic, and t = 0.
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Cut-off along one axis, where t is the component of the direction to the light along this axis: the foreshortened
-    # Gaussian has √(1 − t²) times the standard deviation.
+    # Coefficients beyond these distances along x and y are excluded. Where the component of the direction to the light
+    # along an axis is t, the Gaussian of a source is narrower by the factor √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
     qx, qy = q
     r = np.arange(math.ceil((qx - cutoff_x) * length_x), math.floor((qx + cutoff_x) * length_x) + 1)
     s = np.arange(math.ceil((qy - cutoff_y) * length_y), math.floor((qy + cutoff_y) * length_y) + 1)
-    # An axis of one sample is constant, and its only order is 0.
+    # Along an axis with a single sample, the heights are constant, and only order 0 exists.
     r = r if nx > 1 else r[r == 0]
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # In a phase, the product of indices is reduced modulo the number of samples before it is multiplied by 2π. Large
-    # phases would lose digits.
+    # The phase of a Fourier sum is 2π times the product of two indices over the number of samples. Whole turns are
+    # removed from it by the modulus, because float64 would lose digits of large phases.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -114,20 +117,23 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """Return the factor a [µm²] of the weight exp(−a d²) of a coefficient, whose frequency differs by d from q."""
+    """Return the factor a [µm²] of the Gaussian weight exp(−a d²) of a coefficient at the distance d from q."""
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Return the largest difference in frequency [1/µm] between q and a coefficient that the sum includes."""
+    """Return the distance from q, in frequency [1/µm], up to which the sum includes coefficients."""
     # The standard deviation of exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 
 def _check_orders(heightfield: HeightField, cutoff: float) -> None:
-    """Raise ``MemoryError`` if the sum requires more memory than is free."""
+    """Raise ``MemoryError`` if the sum requires more memory than is free.
+
+    ``cutoff`` is the distance from q, in frequency [1/µm], up to which coefficients are summed.
+    """
     rows, columns = (
         2.0 * cutoff * length + 1.0 if n > 1 else 1.0
         for n, length in zip(heightfield.shape, heightfield.size_um, strict=True)
@@ -144,7 +150,10 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:
-    """Return |P|² of a number of periods: the power of one period at q times the interference factors of both axes."""
+    """Return |P|² of finitely many periods of a patch at q.
+
+    It is the power of one period times the interference factors of the periods along y and x.
+    """
     ny, nx = heightfield.shape
     pitch_y, pitch_x = heightfield.pitch_um
     along_x = np.exp(2j * math.pi * q[0] * pitch_x * np.arange(nx))
@@ -160,8 +169,8 @@ def _periods_power(
 
 def _interference(turns: float, periods: int) -> float:
     """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, with a phase of t turns per period."""
-    # Whole turns of the phase have no effect. They are subtracted before the multiplication by N, because large phases
-    # would lose digits.
+    # Whole turns are subtracted from the phase before it is multiplied by N: they do not change the result, and float64
+    # would lose digits of large phases.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

@@ -7,9 +7,10 @@ energy but violates reciprocity. Here K becomes a(ωi) K a(ωr). The function a 
 over orders 1 for every incident direction and preserves reciprocity (Sinkhorn 1967, Diagonal equivalence to matrices
 with prescribed row and column sums).
 
-K grows without bound where an order leaves along the horizon. There the prescribed sum is not 1 but `rise`, which falls
-to 0 at the horizon, so that efficiencies are continuous where an order begins or ceases to propagate. The remaining
-power of such a direction goes to its mirror direction: at grazing incidence every surface becomes a mirror.
+K grows without bound where an order leaves along the horizon. For directions near the horizon, the prescribed sum is
+therefore not 1. It is given by the function `rise`, which falls to 0 at the horizon, so that efficiencies are
+continuous where an order begins or ceases to propagate. The remaining power of such a direction goes to its mirror
+direction: at grazing incidence every surface becomes a mirror.
 """
 
 from __future__ import annotations
@@ -37,39 +38,43 @@ if TYPE_CHECKING:
 # interpolates the factors on a grid of directions. The cost of exact factors is proportional to the square of this
 # number.
 MOST_EXACT = 600
-# Size of the grid of directions: number of elevations and of azimuths. A finer grid has smaller errors and costs more.
+# Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
+# they are interpolated. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which neighbouring orders are summed [units of (u, v)], about the distance of two nodes of the
-# grid of directions.
+# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. It is about
+# the distance of two nodes of the grid of directions.
 _BIN = 0.08
-# Limits of Sinkhorn's iteration: largest number of sweeps, and relative change of the factors below which it ends.
+# Sinkhorn's iteration, which finds the factors, ends after the first number of steps, or when no factor changes by more
+# than the second number, relative to it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# Number of table entries over |κ| per two radians of the fastest oscillation of a power. Parabolas interpolate the
-# power between entries.
+# Number of entries in the table of a bin's power over |κ|, per two radians of the fastest oscillation of a power.
+# Parabolas interpolate between entries.
 _PER_RADIAN = 6.0
-# Number of height fields whose factors are cached.
+# Largest number of entries of each cache of energy factors; an entry belongs to one height field.
 _CACHED = 8
-# Number of pairs of direction and wavelength by which the energy factors for colours are computed; the cost is
-# proportional to it.
+# Number of random light directions, each with a wavelength, over which the energy factors for colours are balanced.
+# Time is proportional to it.
 _LIGHTS = 4096
-# Range of the wavelengths of these pairs [nm]; it contains nearly all visible power.
+# Range of the wavelengths of the random lights [nm]; it contains nearly all visible power.
 _VISIBLE_RANGE_NM = (400.0, 700.0)
-# Ratio of Roberts' recurrence in three dimensions, the real root of x⁴ = x + 1.
+# Constant of Roberts' quasi-random sequence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
-# Largest angle from the normal for which `AchromaticFactors.spread` is measured [radians].
+# Largest angle from the normal of the light for which deviations of the reflected power at single wavelengths are
+# measured [radians]. The energy factors for colours conserve only the total power of all wavelengths.
 _STEEPEST = math.radians(80.0)
-# Number of wavelengths at which the factors of a band are computed, for linear interpolation, and the visible band
-# [nm]. Outside of the visible band, further bands with the same ratio of wavelengths follow. The bands are fixed, so
-# that factors do not depend on the other wavelengths of a call.
+# First number: wavelengths per band at which energy factors are computed; they are interpolated linearly between these.
+# Second: the visible band [nm]. Outside of it, further bands with the same ratio of wavelengths follow. The bands are
+# fixed, so that factors do not depend on the other wavelengths of a call.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-# Largest number of different incident directions for which the sums over orders are made exactly 1. With more
-# directions, that would require too much time.
+# Largest number of different incident directions in a call for which the orders are made to sum to exactly 1. For more
+# directions that would require too much time, and the factors are interpolated instead.
 _MOST_LIGHTS = 64
-# Cosine from which a direction takes part in the normalisation with its full weight: 5.7° above the horizon. Fitted: of
-# 0.05 to 1 the most accurate orders of perfect mirrors (bench/reproduce/theory_verdict.py). If doubled, their mean
-# error is 3 % larger.
+# Cosine of the angle from the normal at which the prescribed sum over orders reaches 1 (`rise`): 5.7° above the
+# horizon. Fitted: of the values from 0.05 to 1, it gives the most accurate orders of perfect mirrors
+# (bench/reproduce/theory_verdict.py). If doubled, their mean error is 3 % larger.
 RISEN = 0.1
-# Smallest sum over orders used as a divisor; sums are smaller only if all propagating orders vanish.
+# Smallest sum over orders that is used as a divisor. Sums are smaller only if the power of all propagating orders is
+# zero.
 _LEAST_SUM = 1e-12
 
 
@@ -88,12 +93,13 @@ class Powers:
             highest_kappa: Largest |κ| [1/µm].
             bin_um: Largest width of a bin [1/µm]; 0 gives each order a bin of its own.
         """
-        # Argument, and number of terms, of the Chebyshev polynomial in κ that represents a power.
+        # Number of Chebyshev polynomials in κ that represent the power of an order; it follows from the oscillation of
+        # the power over κ.
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-        # With an even number of samples, the two outermost orders, on opposite sides, are aliases of one another and
-        # share a coefficient. The coefficient is copied, so that both sides have it.
+        # With an even number of samples, the orders n/2 and −n/2 are aliases of one another and have the same
+        # coefficient. It is copied, so that both orders have it.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
             _block_starts(n, max(1, min(round(bin_um * length), n)))
@@ -101,7 +107,7 @@ class Powers:
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
-            # The exponent is negative, because κ = w/λ is negative.
+            # The exponent of exp(2πiκh) is negative, because κ = w/λ is negative; `kappa` is its magnitude.
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
             power = np.pad(power, [(0, k - n) for k, n in zip(counts, heightfield.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
@@ -112,14 +118,14 @@ class Powers:
             for first, n, length in zip(starts, counts, heightfield.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
-        # As |(u, v)| and |w| are both at most 2, orders with a frequency |q| beyond the largest |κ| never propagate.
+        # Bins beyond the largest |κ| = 2/λ are dropped. Their orders never propagate, because |(u, v)| is at most 2.
         reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
         self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the powers of the bins with the indices ``places``, each at the |κ| in ``kappas`` [1/µm]."""
+        """Return the powers of some bins by their indices ``places``, each at its own |κ| [1/µm] from ``kappas``."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -128,13 +134,16 @@ class Powers:
 
 
 def _block_starts(n: int, block: int) -> NDArray[np.int64]:
-    """Split n indices into blocks, one of which is centred at n // 2 (zeroth order); return their first indices."""
+    """Split n orders into blocks; return the index of the first order of each block.
+
+    The zeroth order, which has the index n // 2, is in the middle of its block.
+    """
     first = (n // 2 - block // 2) % block
     return np.arange(first, n, block) if first == 0 else np.concatenate([[0], np.arange(first, n, block)])
 
 
 def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weight of directions by their cosine, from 0 at the horizon to 1 at `RISEN`, with the slope 0 at both ends."""
+    """Return the prescribed sum over orders by the cosine of a direction: 0 at the horizon, 1 from `RISEN` on."""
     share = np.minimum(cosines / RISEN, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
@@ -142,7 +151,10 @@ def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
 def stam(
     cos_light: NDArray[np.float64], cos_view: NDArray[np.float64], tangential: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²); ``tangential`` is ωi·ωr without the product of cosines."""
+    """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²), the geometry factor of Stam's efficiencies.
+
+    ``tangential`` is ωi·ωr minus the product of the cosines.
+    """
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
 
@@ -169,7 +181,7 @@ class EnergyFactors:
         return np.asarray(np.sum(weights * values.ravel()[nodes], axis=1))
 
     def risen(self, views: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """Factors at views (n, 3), which fall to 0 at the horizon, where K grows without bound, shape (n,)."""
+        """Return the factors at view directions, times the function `rise`, which is 0 at the horizon, shape (n,)."""
         return self.at(views, wavelength_nm) * rise(views[:, 2])
 
 
@@ -211,13 +223,13 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # The first row of the grid is the normal, where all azimuth nodes are the same direction.
+        # All nodes in the first row of the grid have the same direction, the normal. They are merged to one.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # A light's weight is cos θ times the solid angle that it represents, which is proportional to sin θ, because
-        # the lights are uniform in the polar angle θ.
+        # The weight of a light in the balance is its power on the surface: cos θ times its solid angle. The solid angle
+        # is proportional to sin θ, because the lights are uniform in the polar angle θ.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving
@@ -276,8 +288,8 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # The variable y contains y/(|x| + |y|), and the variable x contains x/(|x| + |y|). Both follow from the column, as
-    # the inverse of the formula in ``grid_weights``.
+    # The coordinates x and y are those of a square, |x| + |y| = 1, at the positions of the columns. This inverts the
+    # formula in ``grid_weights``.
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -287,7 +299,7 @@ def _grid() -> NDArray[np.float64]:
 def _outgoing(
     powers: Powers, light: NDArray[np.float64], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the n directions into which bins of orders diffract light, (n, 3), and their efficiencies K, (n,)."""
+    """Return the n directions into which bins of orders diffract a light, (n, 3), and their efficiencies K, (n,)."""
     # The coefficient at q diffracts into the direction ωr for which the tangential part of ωi + ωr is −λq.
     tangential = -powers.frequencies * wavelength_um - light[:2]
     upward2 = 1.0 - np.sum(tangential**2, axis=1)
@@ -300,7 +312,7 @@ def _outgoing(
 
 @single_threaded_blas()
 def factors_around(heightfield: HeightField, wavelength_nm: float) -> EnergyFactors:
-    """Return the energy factors for the band that contains a wavelength [nm], from the cache if possible."""
+    """Return the energy factors for the band of wavelengths around ``wavelength_nm``, from the cache if possible."""
     shortest, longest = _BAND_NM
     band = math.floor(math.log(wavelength_nm / shortest) / math.log(longest / shortest))
     nodes = np.geomspace(shortest, longest, _NODES) * (longest / shortest) ** band
@@ -322,7 +334,10 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the efficiencies K of lights (n, 3), with a wavelength each, summed at the m grid nodes, shape (n, m)."""
+    """Return the efficiencies K of n lights into the m nodes of the grid, shape (n, m).
+
+    The efficiency of each order is distributed to the four nodes around its direction.
+    """
     result = np.empty((len(lights), _ELEVATIONS * _AZIMUTHS))
     for row, (light, wavelength_um) in enumerate(zip(lights, wavelengths_um.tolist(), strict=True)):
         views, efficiencies = _outgoing(powers, light, wavelength_um)
@@ -334,7 +349,7 @@ def _distributed(
 def balanced(
     matrix: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return factors a of rows, (n,), and b of columns, (m,), with the sums a (K b) and b (Kᵀ a) that are prescribed.
+    """Return factors a of rows, (n,), and b of columns, (m,), so that the matrix a_i K_ij b_j has prescribed sums.
 
     Args:
         matrix: K, shape (n, m).
@@ -364,7 +379,10 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def sums_from(
     factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Return the sum of K a(ωr) over all orders for lights (n, 3), shape (n,); ``powers`` has a bin for each order."""
+    """Return the sum of K a(ωr) over all orders of each light, shape (n,).
+
+    ``powers`` must have a bin of its own for each order.
+    """
     result = np.ones(len(lights))
     for row, light in enumerate(lights):
         views, efficiencies = _outgoing(powers, light, 1e-3 * wavelength_nm)

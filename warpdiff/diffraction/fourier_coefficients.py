@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Length that replaces the size of an axis with a single sample [µm]. The length is far below a wavelength, so that the
-# order 0 is the only order near any direction. A length near a wavelength would add other orders.
+# Size that is assumed for an axis with a single sample [µm]. Orders are λ divided by the size apart in (u, v). With a
+# size far below a wavelength, order 0 is the only one near any direction.
 _CONSTANT_AXIS_UM = 0.01
 
 
@@ -37,11 +37,11 @@ class Grid:
 
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
-        lengths_um: Reciprocal of the spacing of the frequencies along (y, x) [µm]: the size of the patch, or a multiple
-            of it.
-        taper: Factors by which the rows and columns of height samples are multiplied before the transform, shapes (hy,)
-            and (hx,); the origin of x and y is then the middle sample. None means factors of 1 and the origin at the
-            first sample.
+        lengths_um: One over the distance of neighbouring frequencies along (y, x) [µm]. It is the size of the patch, or
+            twice the size if half orders are included.
+        taper: Factors by which the rows and columns of exp(2πiκh) are multiplied before the Fourier transform, shapes
+            (hy,) and (hx,). The origin of x and y is then the middle sample. None means no factors, and the origin at
+            the first sample.
     """
 
     shape: tuple[int, int]
@@ -50,10 +50,10 @@ class Grid:
 
 
 def patch_grid(heightfield: HeightField) -> Grid:
-    """Return the frequencies of an infinite periodic surface, the integer orders r/Lx and s/Ly.
+    """Return the frequencies of an infinite periodic surface: r/Lx and s/Ly for integers r and s.
 
-    An axis with a single sample is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces its length, so that
-    order 0 is the nearest order for every direction.
+    Along an axis with a single sample the surface is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces its
+    length, so that order 0 is the nearest order for every direction.
     """
     lengths = [
         _CONSTANT_AXIS_UM if n == 1 else length
@@ -63,10 +63,10 @@ def patch_grid(heightfield: HeightField) -> Grid:
 
 
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
-    """Return the frequencies of whole and half orders, between which the spectrum of one period is interpolated.
+    """Return the frequencies r/(2Lx) and s/(2Ly), from which the spectrum of a single period is interpolated.
 
-    The taper of the grid divides the samples by the transform of the interpolation kernel; ``kernel_transform`` is that
-    transform for arguments from −1/4 to 1/4.
+    The samples must be divided by the Fourier transform of the interpolation kernel, which the taper of the grid does.
+    ``kernel_transform`` is this transform, a function of arguments from −1/4 to 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
     # The spectrum is constant along an axis of one sample and needs no interpolation.
@@ -108,7 +108,7 @@ class Block:
         return cls((count[0], count[1]), (origin[0], origin[1]), grid.shape)
 
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the integers s and r of the rows and columns, −n/2 to (n−1)/2, shapes (my,) and (mx,)."""
+        """Return the orders s of the rows and r of the columns of the block, shapes (my,) and (mx,)."""
         orders = []
         for count, origin, samples in zip(self.count, self.origin, self.shape, strict=True):
             order = np.arange(count, dtype=np.int64) - origin
@@ -138,8 +138,8 @@ def series_coefficients(
     offset, scale = expansion.offset_and_scale(heightfield)
     scaled = (heightfield.heights_um - offset) / (scale or 1.0)
     s, r = block.orders()
-    # Heights are real. The coefficients of column −r are therefore the conjugates of those of column r, with the rows
-    # in reverse order. Only the columns r >= 0 of the block are transformed.
+    # The polynomials of the heights are real. The coefficients of column −r are therefore complex conjugates of those
+    # of column r, with the rows in reverse order, and only the columns r >= 0 are transformed.
     columns = int(np.abs(r).max()) + 1
     keep = np.where(r >= 0, r, -r)
     rows = np.where(r[None, :] >= 0, s[:, None], -s[:, None]) % block.shape[0]
@@ -155,11 +155,13 @@ def series_coefficients(
             values = values * taper[0][:, None] * taper[1]
         partial = np.fft.rfft(values, n=block.shape[1], axis=1)[:, :columns] / heightfield.shape[1]
         half = np.fft.fft(partial, n=block.shape[0], axis=0)[rows, keep[None, :]] / heightfield.shape[0]
-        # rfft computes sums with exp(−2πi…), but ifft2 sums with exp(+2πi…); conjugation converts one into the other.
+        # NumPy's rfft sums terms with exp(−2πi…), but the definition of H requires exp(+2πi…). The complex conjugate of
+        # the sum converts one to the other, because the polynomials are real.
         result[:, :, n] = (1j**n) * np.where(r[None, :] >= 0, half.conj(), half) * phase
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        # The polynomials are computed in batches, which limits memory.
+        # Only as many polynomials are computed at a time as threads can transform; each is an array as large as the
+        # heights.
         for first in range(0, terms, max(1, threads)):
             batch = [(n, next(polynomials)) for n in range(first, min(terms, first + max(1, threads)))]
             list(pool.map(lambda task: transform(*task), batch))

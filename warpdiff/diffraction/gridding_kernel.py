@@ -16,7 +16,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Degree of the polynomials that approximate the kernel from one frequency to the next; the error is about 1e-8.
+# The kernel is approximated by polynomials, one per interval between two frequencies of the grid. With this degree the
+# error is about 1e-8.
 _DEGREE = 12
 
 
@@ -26,14 +27,14 @@ def _shape(taps: int) -> float:
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Return the kernel at distances in grid steps; it is 1 at distance 0, and 0 beyond taps/2."""
+    """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at distance 0, 0 beyond taps/2."""
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))
     return np.where(inside >= 0.0, values, 0.0)
 
 
 def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Return the transform of the kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
+    """Return the Fourier transform of the Kaiser-Bessel kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
 
     The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², for W taps.
     """
@@ -42,10 +43,10 @@ def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.fl
 
 
 def tap_polynomials(taps: int) -> NDArray[np.float64]:
-    """Return the weights of ``taps`` neighbours as polynomials, shape (taps, degree + 1), highest power first.
+    """Return polynomials for the weights of the ``taps`` frequencies around a position, shape (taps, degree + 1).
 
-    A position t is in units of the frequency spacing. Neighbour i of t has the position ⌊t⌋ − taps/2 + 1 + i. Its
-    weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
+    Coefficients of a polynomial begin with the highest power. For a position t, in steps of the frequency grid, the
+    i-th frequency is ⌊t⌋ − taps/2 + 1 + i, and its weight is the i-th polynomial at t − ⌊t⌋ − 1/2.
     """
     nodes = np.cos(math.pi * (np.arange(4 * _DEGREE) + 0.5) / (4 * _DEGREE)) / 2.0
     offsets = taps // 2 - 1 - np.arange(taps)

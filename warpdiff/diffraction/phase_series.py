@@ -1,8 +1,8 @@
 """Series of exp(2πiκh) that separate κ from the heights: Taylor, centred Taylor and Jacobi-Anger.
 
-With g = (h − c)/a and x = 2πκa a series is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g). The polynomials p_n of the heights are
-transformed once. The basis b_n(x) is evaluated at each wavelength. Later stages do not depend on the choice of a
-series.
+With g = (h − c)/a, where c and a are a height and a length, and x = 2πκa, a series is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g).
+The polynomials p_n of the heights are transformed once. The basis b_n(x) is evaluated at each wavelength. Code that
+uses the resulting coefficients does not depend on which series was chosen.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Limit on the number of terms of a series. With 128 terms, series represent about 30 cycles of phase. The memory of a
-# table of coefficients is proportional to this number.
+# Largest number of terms of a series. With 128 terms, a series represents height ranges of about 30 cycles of phase.
+# The memory of a table of coefficients is proportional to the number of terms.
 MAX_TERMS = 128
 # Limit on the cycles of phase over the height range. Tables for more cycles are very large.
 _MOST_CYCLES = 100.0
-# Limit on exponents in the bounds of a Taylor series: e^710 overflows float64.
+# Limit on exponents where the error bound of a Taylor series is computed: e^710 would overflow float64.
 _LARGEST_EXPONENT = 700.0
 
 
@@ -70,13 +70,13 @@ class Expansion:
     growth: Callable[[float], float]
 
     def offset_and_scale(self, heightfield: HeightField) -> tuple[float, float]:
-        """Return c and a [µm] of a height field; a = 0 for a flat one."""
+        """Return the offset c and the scale a of heights [µm], as in g = (h − c)/a; a is 0 for a flat height field."""
         low, high = float(heightfield.heights_um.min()), float(heightfield.heights_um.max())
         return ((low + high) / 2.0, (high - low) / 2.0) if self.centred else (low, high - low)
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the fewest terms, at most ``MAX_TERMS``, whose remainder at x = ``argument`` is within a tolerance."""
+        """Return the number of terms, at most ``MAX_TERMS``, with which the error at ``argument`` meets a tolerance."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1

@@ -2,7 +2,7 @@
 
 A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. The
 share is the absolute BRDF (Stam 1999) without a window, integrated over the order. Each order has its own w, and
-therefore its own κ = w/λ. Instead of one FFT per order, FFTs at a few κ are computed and interpolated.
+therefore requires H at its own κ = w/λ. FFTs are computed at a few κ only, and H is interpolated between them.
 """
 
 from __future__ import annotations
@@ -41,12 +41,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# Deviation of the sum over Stam's orders from the reflected power, relative to it, above which a call warns. Limit:
-# nine in ten of such gratings have an order that is wrong by more than a tenth of the reflected power.
+# Relative deviation of the sum of all Stam efficiencies from the reflected power above which a call warns. Limit: nine
+# in ten of the gratings with a larger deviation have an order that is wrong by more than a tenth of the reflected
+# power.
 _MOST_DEVIATION = 0.2
-# Least reflectance of a flat surface that sums are relative to: rounding of an antireflective film.
+# Smallest reflectance of a flat surface by which a sum over orders is divided. That of an antireflective film may be 0
+# up to rounding.
 _LEAST_REFLECTANCE = 1e-12
-# Measured memory [bytes]: per height sample, per order and wavelength, and per order and interpolation term.
+# Measured memory of a call [bytes]: per height sample; per order and wavelength; and per order and term of the
+# polynomials that interpolate over κ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 # Number of matrix elements above which no further light shares the transforms of the height field. Limit: memory.
 _MOST_TOGETHER = 100_000
@@ -66,7 +69,8 @@ class OrderEfficiencies:
             evanescent.
         efficiencies: Reflected power of each order relative to the incident power, shape (m, n) or (k, m, n); 0 where
             an order is evanescent.
-        verdict: Verdict on scalar diffraction for the height field, and the worst of the lights and wavelengths.
+        verdict: Verdict on how wrong scalar diffraction may be for the height field, at the worst of the lights and
+            wavelengths.
 
     Examples:
         >>> import warpdiff as wd
@@ -236,7 +240,7 @@ def order_efficiencies(
         else:
             cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
             reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        # The last reflectances are those of a flat surface.
+        # The last entries of `reflected` are the reflectances of a flat surface for the same lights.
         reflected, of_flat = np.split(reflected, [len(order)])
         efficiencies[which, column, order] = reflected * mirrors
         sums = np.bincount(which, reflected * stam, len(lights))
@@ -265,7 +269,8 @@ def _propagating(
     Returns:
         Pairs (m_y, m_x), shape (n, 2), and unit vectors, shape (k, m, n, 3), NaN where an order is evanescent.
     """
-    # An order m propagates only if |mλ/L − ωi| < 1 along each axis. All pairs are in the order (y, x).
+    # An order m propagates only if |mλ/L − c| < 1 along each axis, where c is the component of ωi along the axis. This
+    # limits the orders at the shortest wavelength. Pairs are in the order (y, x).
     ranges = []
     for length, n, components in zip(heightfield.size_um, heightfield.shape, lights[:, 1::-1].T, strict=True):
         most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
@@ -297,7 +302,11 @@ def _propagating(
 def _verdict(
     heightfield: HeightField, wavelengths_nm: NDArray[np.float64], energy_sums: NDArray[np.float64], *, conserves: bool
 ) -> TheoryVerdict:
-    """Return the worst verdict of three wavelengths: the shortest, the longest, and that with the worst sum."""
+    """Return the verdict with the largest error at three wavelengths of a call.
+
+    They are the shortest, the longest, and the one at which the sum over orders deviates most from the reflected
+    power.
+    """
     rows = {np.argmin(wavelengths_nm), np.argmax(wavelengths_nm), np.argmax(np.abs(energy_sums - 1.0))}
     verdicts = (
         verdict_on(heightfield, float(wavelengths_nm[row]), conserves=conserves, energy_sum=float(energy_sums[row]))
@@ -307,7 +316,7 @@ def _verdict(
 
 
 def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
-    """Warn of invalid efficiencies, and of Stam's efficiencies whose sum is far from the reflected power."""
+    """Warn if the verdict is invalid, or if Stam's efficiencies sum to much more or less than the reflected power."""
     worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
     if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
         warn(f"scalar diffraction is {verdict} (the orders sum to {worst:.3g} times that power): {verdict.remedy}")
@@ -358,10 +367,10 @@ def _normalised(
 
 
 class _OrderMatrix:
-    """Directions between which the light of one incident direction is scattered, and their normalisation.
+    """Matrix of efficiencies for one light, which the energy normalisation balances.
 
-    The rows of the matrix are incident directions that differ from the light by whole orders. The columns are the
-    reflected directions, which are the same for all rows.
+    Its rows are all incident directions whose orders leave in the same directions as those of the light: they differ
+    from the light by whole orders. Its columns are these outgoing directions.
 
     Attributes:
         part: Place of the orders among those of all lights.
@@ -401,7 +410,8 @@ class _OrderMatrix:
         rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
         first, second = energy_normalisation.balanced(matrix, rows, columns)
         result = first[self._own] * second * matrix[self._own]
-        # The share that a light near the horizon does not send into its orders stays with its mirror order.
+        # For a light near the horizon, the normalised orders sum to less than 1. The rest of its power goes to the
+        # mirror direction, order 0.
         result[self._is_mirror] += 1.0 - rows[self._own]
         return np.asarray(result)
 
@@ -410,15 +420,17 @@ class _OrderMatrix:
 def _coefficients(
     heightfield: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return coefficients H_rs(κ) without their common phase, with an error of about 1e-13, shape (n,).
+    """Return Fourier coefficients H_rs(κ), each at its own κ, with an error of about 1e-13, shape (n,).
 
-    ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
+    A phase that all coefficients have in common is omitted. ``indices`` are the pairs (s, r), shape (n, 2), and
+    ``kappas`` is the κ of each pair [1/µm], shape (n,).
     """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-    # The zeroth order always propagates, so that ``kappas`` is not empty. The least width of 1e-9 avoids a division by
-    # zero if there is a single order.
+    # The range of κ between which coefficients are interpolated. It is never empty, because the zeroth order always
+    # propagates. Its least width of 1e-9 avoids a division by zero for a single order.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # The Jacobi-Anger series of exp(2πiκh) over this range of κ has negligible terms beyond the order ``argument``.
+    # Over this range of κ, exp(2πiκh) is a series of Chebyshev polynomials in κ, whose terms decrease fast beyond the
+    # index `argument`.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half
@@ -437,12 +449,12 @@ def _coefficients(
 
 
 def _term_count(argument: float) -> int:
-    """Return the number of Chebyshev terms that represent exp(ixg), |g| <= 1, for an argument x."""
+    """Return the number of Chebyshev polynomials in g that represent exp(ixg) for |g| <= 1; ``argument`` is x."""
     return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn if orders beyond the Nyquist limit of an axis propagate, because lower orders alias onto them."""
+    """Warn if orders propagate that the samples cannot represent: their power appears in lower orders (aliasing)."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

@@ -42,13 +42,14 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# Convergence of the direct method: relative change of XYZ, as a share of the tolerance, that ends the halving of the
-# step in 1/λ.
+# Relative change of XYZ, as a share of the tolerance, at which the direct method has converged. It halves the step
+# between wavelengths until then.
 _DIRECT_SETTLED = 0.05
-# Limit: number of wavelengths of the direct method. Time is proportional to it, several seconds per direction.
+# Limit on the number of wavelengths of the direct method. Time is proportional to it: at this limit, a direction
+# requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory [bytes]: per direction of a call, per direction and wavelength of a spectrum, and per direction of a
-# reflectance map.
+# Measured memory [bytes]: per direction of a call; in addition per direction and wavelength of a spectrum; and per
+# direction of a reflectance map.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
@@ -287,7 +288,7 @@ def brdf(
 
 
 class _Call:
-    """Evaluation of one call: pairs of light and view directions, their geometry factors, and a plan for them."""
+    """Light and view directions of one call in pairs, with their geometry factors and the plan that evaluates them."""
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
@@ -324,7 +325,7 @@ class _Call:
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values without the axis of directions if the call has single directions, else unchanged."""
+        """Return an array of shape (n, …) unchanged, or its only row if the caller gave single directions."""
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
@@ -368,7 +369,7 @@ class _Call:
         return np.asarray(xyz.numpy())
 
     def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Return scattering vectors, directions to the light and gains as arrays on the device."""
+        """Return scattering vectors, directions to the light and gains of the directions as arrays on the device."""
         device = self._request.device
         return (
             wp.array(self._scattering_vectors, dtype=wp.vec3d, device=device),
@@ -382,9 +383,10 @@ def direct_colour(
     gains: NDArray[np.float64], plan: Plan, lit_material: IlluminatedMaterial, *,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return XYZ by the direct sum over height samples, with a step in 1/λ that is halved until XYZ converges.
+    """Return XYZ by the direct sum over height samples, with more and more wavelengths until XYZ converges.
 
-    The first step is that of the upper bounds, so that no order lies between two wavelengths.
+    The first number of wavelengths is that of the upper-bound plan. It is large enough that no order falls between two
+    wavelengths. The step in 1/λ is then halved repeatedly.
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)

@@ -1,4 +1,4 @@
-"""Gap filling: the harmonic function through the samples around the gaps of a grid."""
+"""Gap filling: missing heights are replaced by a harmonic (smooth) surface through the samples around each gap."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-# Residual of the equations, relative to the first one, that ends the iteration.
+# Residual of the linear equations, relative to its first value, at which the solver stops.
 _CONVERGED = 1e-10
-# Limit on the steps of conjugate gradients; about twenty suffice.
+# Limit on the number of steps of the conjugate gradient method; about twenty steps suffice.
 _MOST_STEPS = 200
-# Limit on the weight of the farther neighbours relative to that of the nearer ones; smaller weights are lost in
-# rounding.
+# Least weight of the neighbours along the axis with the coarser pitch, relative to the neighbours along the other axis.
+# Limit: smaller weights are lost in rounding.
 _LEAST_WEIGHT = 1e-10
-# Damping factor of the Jacobi smoother, the usual value for five-point stencils.
+# Damping factor of the Jacobi iteration that smooths errors on each grid; the usual value for five-point Laplacians.
 _DAMPING = 2.0 / 3.0
-# Number of sweeps of the smoother before and after each coarse-grid correction.
+# Number of Jacobi iterations before, and again after, each correction that is computed on the next coarser grid.
 _SWEEPS = 2
-# Largest number of unknowns of the coarsest grid, whose matrix is inverted.
+# Number of unknowns from which down a grid is not coarsened further. Its equations are solved by an inverse matrix.
 _FEW = 400
-# Samples of a grid per sample of the next coarser one, along an axis; and the largest ratio of the sample distances of
-# both axes at which both are coarsened.
+# First number: samples per sample of the next coarser grid, along an axis. Second number: both axes are coarsened only
+# if the ratio of their pitches is at most this; otherwise only the axis with the finer pitch is.
 _COARSER, _MOST_ANISOTROPY = 3, 1.8
 
 
@@ -48,7 +48,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     if not gaps.any():
         return result
     known = heights[~gaps]
-    # Heights are centred and scaled, so that an offset loses no digits and squares neither overflow nor vanish.
+    # Heights are centred and scaled: rounding errors then do not depend on an offset, and squares of heights neither
+    # overflow nor underflow.
     mean = float(np.mean(known))
     scale = float(np.max(np.abs(known - mean))) or 1.0
     matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
@@ -56,7 +57,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
         cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
         solution, _ = linalg.cg(matrix, target, rtol=_CONVERGED, maxiter=_MOST_STEPS, M=cycle)
         filled = mean + scale * solution
-    # A harmonic function stays between its boundary values; rounding may exceed them.
+    # A harmonic function lies between its smallest and largest boundary value. Rounding errors may exceed this range,
+    # so that the heights are clipped to it.
     result[gaps] = np.clip(filled, known.min(), known.max())
     return result
 
@@ -64,7 +66,10 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
 def _equations(
     gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
 ) -> tuple[csr_array, NDArray[np.float64]]:
-    """Return the equations of the missing samples: minus the Laplacian, and the right side from known neighbours."""
+    """Return the linear equations of the missing samples: a matrix, minus the Laplacian, and its right-hand side.
+
+    The right-hand side is the sum of the known neighbours of each missing sample, times their weights.
+    """
     from scipy import sparse
 
     count = int(np.count_nonzero(gaps))
@@ -79,7 +84,8 @@ def _equations(
         for one, other, height in ((before, after, height_after), (after, before, height_before)):
             unknown = one >= 0
             row, column = one[unknown], other[unknown]
-            # Each sample has at most one neighbour on a side, so that indices are unique.
+            # The indices `row` are unique, because a sample has at most one neighbour on one side. Indexed sums are
+            # correct only for unique indices.
             diagonal[row] += weight
             target[row] += weight * height[unknown]
             both = column >= 0
@@ -90,12 +96,12 @@ def _equations(
 
 @dataclass(frozen=True)
 class _Level:
-    """Level of the multigrid.
+    """Grid of the multigrid method, with the equations of its samples.
 
     Attributes:
-        matrix: Equations of this level.
-        jacobi: Damped inverse of their diagonal.
-        to_finer: Prolongation from the next coarser level to this one.
+        matrix: Matrix of the equations on this grid.
+        jacobi: Inverse of the diagonal of ``matrix``, times the damping factor.
+        to_finer: Matrix that interpolates from the next coarser grid to this one.
     """
 
     matrix: csr_array
@@ -106,7 +112,7 @@ class _Level:
 def _multigrid(
     matrix: csr_array, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return a multigrid V-cycle, a symmetric approximate inverse of equations between neighbours on a grid."""
+    """Return one V-cycle of the multigrid method, as a function that approximately solves the equations on a grid."""
     from scipy import sparse
 
     levels: list[_Level] = []
@@ -127,7 +133,8 @@ def _multigrid(
         matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
         places = cells // width, cells % width
         distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
-    # A dense inverse: SciPy's sparse factorisation leaves a pending error in forked child processes.
+    # The inverse is dense, because SciPy's sparse factorisation leaves's sparse factorisation leaves a pending error in
+    # forked child processes.
     inverse = np.linalg.inv(matrix.toarray())
 
     def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:

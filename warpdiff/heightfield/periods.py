@@ -32,6 +32,9 @@ _ROUNDING = 1e-10
 _ROUNDED_PERIODS = 0.02
 # Radius of the band around a line, relative to its frequency, and at least [cycles over the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
+# Radius around a wavering wave, relative to its frequency, in which weaker lines are its side lines. Chosen from waves
+# whose phase varies by 2.4 radians, which have no line at their mean frequency. If doubled, other waves are lost.
+_SIDE_LINES = 0.55
 # Radius of the bands around the harmonics of a line, relative to its frequency.
 _HARMONIC_BAND = 0.5
 # Highest harmonic whose alias is excluded; higher ones have little power, and would cover the spectrum.
@@ -284,14 +287,14 @@ class _Search:
             or before - after < _SECOND * before
             or min(_distance(cycles, centre) for centre in close) < _RESOLUTION + 1.5
         )
-        if is_part or self._is_side_line(spectrum, peak):
+        if is_part or self._is_side_line(spectrum, peak) or self._is_beside_wavering(peak):
             self._exclude(line.cycles, _LEAST_BAND)
             return None, spectrum
         if not has_strayed and self._is_coherent(line, band, before, after, rest, residual, cycles):
             return self._coherent(cycles, band)
         wave = self._wavering(line, band)
         self._exclude(line.cycles, band)
-        if wave is None or any(_distance(wave.q * self.sizes, other) <= band for other in self.wavering):
+        if wave is None or self._is_beside_wavering(wave.q * self.sizes):
             return None, spectrum
         self._exclude_harmonics(wave.q * self.sizes, band)
         self.wavering.append(wave.q * self.sizes)
@@ -305,6 +308,10 @@ class _Search:
             and spectrum.around(2.0 * centre - cycles) > _TWIN * power
             for centre, _ in self.bands
         )
+
+    def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
+        """Whether a frequency is that of a side line of a wavering wave, whose strongest line may be to one side."""
+        return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
         """Return the line of which a line is a harmonic, if it has more power."""

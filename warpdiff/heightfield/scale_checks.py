@@ -34,16 +34,14 @@ _STEEP, _TOO_STEEP = 5.0, 10.0
 _ROUNDING = 1e-12
 # Units in µm, from the most to the least usual one.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
-# Usual height ranges, pitches [µm] and mean slopes, and the middle of the former on a logarithmic scale. A unit is
-# proposed if it makes all of them usual.
+# Usual height ranges, pitches [µm] and mean slopes of scans. A unit is proposed if it makes all of them usual.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
+# Middle of the usual height ranges [µm], on a logarithmic scale: the nearest unit is proposed.
 _TYPICAL_RANGE_UM = 0.3
 # Lengths of a synthetic grating beyond which its unit is in question: period [µm], and depth over period.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
-
-# Number of slopes along an axis that are measured. Limit: time.
+# Largest number of slopes along an axis that are measured. Limit: time.
 _MOST_SLOPES = 200_000
-
 # Numbers that instruments and programs write where they have no height.
 _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,

@@ -113,7 +113,7 @@ class WindowedSpectrum:
 
     def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
         """Return the narrow line at a frequency, or None; it need not be significant among all frequencies."""
-        return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes)
+        return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes, 1.0)
 
     def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
         """Index of the coefficient next to a frequency."""
@@ -205,7 +205,8 @@ class WindowedSpectrum:
         allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
         # Neighbouring coefficients of a Hann window are correlated.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
-        level = _FALSE_ALARM / max(np.count_nonzero(allowed) / independent, 1.0)
+        tried = max(np.count_nonzero(allowed) / independent, 1.0)
+        level = _FALSE_ALARM / tried
         around = tuple(min(n, side + 2) for n, side in zip(white.shape, sides, strict=True))
         values = np.where(allowed & (white == ndimage.maximum_filter(white, around, mode="wrap")), white, 0.0)
         best: Line | None = None
@@ -216,14 +217,14 @@ class WindowedSpectrum:
             if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0
-            line = self._examined((int(row), int(column)), sides, independent, level, sizes)
+            line = self._examined((int(row), int(column)), sides, independent, level, sizes, tried)
             if line is not None and (best is None or line.excess > best.excess):
                 best = line
         return best
 
     def _examined(
         self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
-        sizes: NDArray[np.float64],
+        sizes: NDArray[np.float64], tried: float,
     ) -> Line | None:  # fmt: skip
         """Return the line in a box around a coefficient, if it is significant.
 
@@ -246,7 +247,8 @@ class WindowedSpectrum:
         centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
-            if not _is_significant(ratio, inside, outside, level, width):
+            # A ridge has about the square root of all coefficients, so that noise has fewer maxima along it.
+            if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0
         if len(medians) == 2:
@@ -301,8 +303,9 @@ class WindowedSpectrum:
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (
-            np.round(vector * size).astype(np.int64) + centre
-            for vector, size, centre in zip(vectors, sizes, self.centre, strict=True)
+            # In a field of extreme aspect ratio, steps across exceed the range of integers.
+            np.clip(np.round(vector * size), -n, n).astype(np.int64) + centre
+            for vector, size, n, centre in zip(vectors, sizes, (ny, nx), self.centre, strict=True)
         )
         inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])

@@ -1,15 +1,20 @@
 """Verdict on scalar diffraction: how wrong the efficiency of an order may be on a height field, and why.
 
-Each reason alone estimates the error, and the largest estimate is the verdict:
+Five properties of a surface may make scalar diffraction wrong. Each of them alone gives an estimate of the error, and
+the largest estimate is the verdict:
 
-- steep: 0.22 times the root mean square slope, with frequencies above 1/λ counted as 1/λ.
-- deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope.
+- steep: 0.22 times the root mean square slope, computed in the frequency domain with frequencies above 1/λ counted as
+  1/λ.
+- deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope, the period
+  of a sine with this s and this mean slope.
 - narrow: the share of the light that features narrower than two wavelengths diffract, at |w| = 1, divided by 0.7.
-- energy: 1.1 times the deviation of the sum over orders from that of a flat surface, for Stam's efficiencies; 0.4 times
-  it where they are normalised. Without a direction to the light, the largest of normal incidence, 30° and 60° counts.
-- undersampled: twice the share of the relief in runs of samples between which the phase changes by half a cycle.
+- energy: 1.1 times the deviation of the sum over Stam's orders from the power that a flat surface reflects; 0.4 times
+  this deviation if the efficiencies are normalised. Without a direction to the light, the largest deviation of light
+  from 0°, 30° and 60° counts.
+- undersampled: twice the share of the relief on slopes where the phase changes by more than half a cycle per sample.
 
-The first four were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are no bounds.
+The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are not upper
+bounds.
 """
 
 from __future__ import annotations
@@ -35,39 +40,49 @@ _T = TypeVar("_T")
 Reason = Literal["steep", "deep", "narrow", "energy", "undersampled"]
 Grade = Literal["reliable", "qualitative", "invalid"]
 
-# Wavelength of verdicts on a height field alone [nm]: green, the middle of the visible range.
+# Wavelength of a verdict on a height field, if a call has no wavelengths of its own [nm]: green, the middle of the
+# visible range.
 WAVELENGTH_NM = 550.0
-# Error from which a verdict is qualitative. Limit: a tenth of the reflected power. If doubled, more gratings are graded
-# reliable than are.
+# Estimated error from which the verdict is "qualitative" instead of "reliable": a tenth of the reflected power. If
+# doubled, gratings with larger errors are graded reliable.
 QUALITATIVE = 0.1
-# Error from which a verdict is invalid. Limit: 99 % of such gratings have an order that is wrong by more than a tenth
-# of the reflected power. If halved, shallow patterns of two wavelengths are invalid.
+# Estimated error from which the verdict is "invalid". Limit: 99 % of the gratings with such an estimate have an order
+# that is wrong by more than a tenth of the reflected power. If halved, shallow patterns with features of two
+# wavelengths are graded invalid.
 INVALID = 0.9
-# Errors per unit of each reason. Fitted: bench/reproduce/theory_verdict.py, on two thirds of the periods and depths.
+# Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. Fitted to
+# rigorous solutions for two thirds of the periods and depths (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
-# Error per share of the relief that is undersampled. Limit: half of a relief makes results meaningless.
+# Factor from the undersampled share of the relief to the estimated error. With it, an undersampled half of the relief
+# gives an error of 1: the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
-# Frequency times wavelength from which features count as narrow: features of two wavelengths. Fitted, see above.
+# Product of spatial frequency and wavelength above which features count as narrow: their period is less than two
+# wavelengths. Fitted with the factors above.
 _NARROW = 0.5
-# Number of wavelengths whose estimates are cached for a field. Limit: a spectrum evaluates three.
+# Largest number of wavelengths for which the estimates of a height field are cached. Limit: memory; a call for a
+# spectrum uses three wavelengths.
 _MOST_CACHED = 16
-# Largest number of samples of a profile, and along an axis of a field, that a verdict is computed from. Limit: 30 ms.
+# Largest number of samples from which a verdict is computed: of a height field with one row or column, and along each
+# axis of other height fields. Limit: a verdict requires at most 30 ms.
 _MOST_OF_PROFILE, _MOST_OF_FIELD = 4096, 192
-# Number of samples per wavelength to which fields are thinned before they are cut. If halved, orders at the horizon
-# alias.
+# Samples per wavelength that remain if every n-th sample of a finely sampled height field is used. If halved, orders
+# near the horizon suffer from aliasing.
 _PER_WAVELENGTH = 8.0
-# Angles of incidence at which orders are summed [degrees]: those of the rigorous solutions.
+# Angles of incidence for which the efficiencies of all orders are summed [degrees]. They are those of the rigorous
+# solutions to which the estimates were fitted.
 _ANGLES_DEG = (0.0, 30.0, 60.0)
-# Height range in wavelengths above which orders are not summed, because it takes too many transforms. Limit: 30 ms.
+# Height range, in wavelengths, above which the efficiencies of orders are not summed. Limit: time; larger ranges
+# require so many Fourier transforms that a verdict takes more than 30 ms.
 _MOST_RANGE = 6.0
-# Least cosine of an order that is summed: 5.7° above the horizon. Limit: the sum for a few lights must not depend on an
-# order that happens to be near the horizon, where its efficiency diverges.
+# Cosine of the angle from the normal below which an order is excluded from the sum: 5.7° above the horizon. Limit: at
+# the horizon the efficiency of an order diverges, and an order that happens to be near it would dominate the sum.
 _LEAST_COSINE = 0.1
-# Reflectance at normal incidence of a perfect mirror and of glass (n = 1.5), whose orders are summed. The reflectance
-# of glass changes from order to order.
+# Reflectances at normal incidence of a perfect mirror and of glass (n = 1.5). The efficiencies of orders are summed for
+# both materials, because the reflectance of glass also depends on the direction of an order.
 _MIRROR, _GLASS = 1.0, 0.04
 
-# Estimates of a field by the wavelength [nm], without the energy; and deviations of the sums over orders.
+# Caches by height field and wavelength [nm]: the estimated errors by their reason, except the reason "energy"; and the
+# deviations of the sums over orders, from which the estimate for "energy" follows.
 _errors: weakref.WeakKeyDictionary[HeightField, dict[float, dict[Reason, float]]] = weakref.WeakKeyDictionary()
 _deviations: weakref.WeakKeyDictionary[HeightField, dict[float, tuple[float, float]]] = weakref.WeakKeyDictionary()
 
@@ -79,8 +94,9 @@ class TheoryVerdict:
     Attributes:
         error: Expected error of the efficiency of an order, as a share of the power that a flat surface reflects.
             Against rigorous solutions, 19 of 20 gratings had at most twice this error.
-        reason: Reason with the largest error: ``"steep"`` or ``"deep"`` relief, ``"narrow"`` features, orders whose
-            ``"energy"`` is not that of a flat surface, or heights ``"undersampled"`` for their phase.
+        reason: Property of the surface with the largest estimated error: ``"steep"`` or ``"deep"`` relief; ``"narrow"``
+            features; ``"energy"``, if the orders do not sum to the power that a flat surface reflects;
+            ``"undersampled"``, if the samples are too far apart for the phase.
         wavelength_nm: Wavelength [nm].
 
     Examples:
@@ -97,12 +113,12 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """``"reliable"``: use colours and numbers. ``"qualitative"``: use positions. ``"invalid"``: use nothing."""
+        """Grade: use colours and numbers (reliable), only positions of colours (qualitative), or nothing (invalid)."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
     def remedy(self) -> str:
-        """Advice for the reason."""
+        """Advice that an error or warning gives to the user, depending on the reason of the verdict."""
         if self.reason == "undersampled":
             return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
@@ -121,7 +137,7 @@ class TheoryVerdict:
         return text if self.grade == "reliable" else f"{text}, because {self.explanation}"
 
 
-# Reasons in words.
+# Texts for the reasons in printed verdicts.
 _REASONS: dict[Reason, str] = {
     "steep": "the relief is steep",
     "deep": "the relief is deep",
@@ -132,7 +148,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Wavelength of the verdict on calls in a range of wavelengths [nm]: 550, or the nearest end of the range."""
+    """Return the wavelength of the verdict on a call: 550 nm, or the nearest end of its range of wavelengths."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 
@@ -159,10 +175,10 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The estimate of deep relief is proportional to the slope as well.
+        # The reason is "steep" if both apply: the estimate for deep relief contains the slope, too.
         reason = "steep"
     if errors["undersampled"] >= INVALID:
-        # The other estimates are computed from the same samples.
+        # If the samples are too far apart, the other estimates are wrong too, because they use the same samples.
         reason = "undersampled"
     return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
 
@@ -171,7 +187,7 @@ def _cached(
     cache: weakref.WeakKeyDictionary[HeightField, dict[float, _T]], heightfield: HeightField, wavelength_nm: float,
     make: Callable[[HeightField, float], _T],
 ) -> _T:  # fmt: skip
-    """Return what ``make`` makes of a height field and a wavelength [µm], from a cache."""
+    """Return ``make(heightfield, wavelength)`` from a cache if possible; ``make`` expects the wavelength in µm."""
     cached = cache.setdefault(heightfield, {})
     if wavelength_nm not in cached:
         if len(cached) >= _MOST_CACHED:
@@ -183,7 +199,7 @@ def _cached(
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, float]:
-    """Return the estimates of the error of an order by their reason, without the energy."""
+    """Return the estimated errors of an order's efficiency by their reason, except the reason "energy"."""
     if heightfield.height_range_um == 0.0:
         return {"steep": 0.0, "deep": 0.0, "narrow": 0.0, "undersampled": 0.0}
     heights, pitch_um, window = _part(heightfield, wavelength_um)
@@ -203,7 +219,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Order rates v and u, frequencies times the wavelength, of a transform, shape (ny, nx) each."""
+    """Frequencies of a discrete Fourier transform times the wavelength, along y and x, shape (ny, nx) each."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -212,7 +228,10 @@ def _orders(
 def _part(
     heightfield: HeightField, wavelength_um: float
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
-    """Heights of the middle of a field, thinned where the pitch is much finer than the wavelength.
+    """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
+
+    The pitch of the part [µm] and a window are also returned. The window falls to 0 at the edges where the part is
+    smaller than the field.
 
     The pitch of the part [µm] and a window follow, which falls to 0 at the edges along an axis that was cut.
     """
@@ -220,7 +239,8 @@ def _part(
     steps, parts, fades = [], [], []
     for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True):
         finest = max(int(wavelength_um / (_PER_WAVELENGTH * pitch)), 1)
-        # A field is not thinned by more than it takes, and a period not by a step that does not divide it.
+        # Every ``step``-th sample is used, with a step as large as the limit on the number of samples requires. If the
+        # whole period is used, the step must divide its number of samples, so that the samples remain periodic.
         step = next(step for step in range(min(finest, -(-n // most)), 0, -1) if n % step == 0 or n > step * most)
         count = min(n // step, most)
         first = (n - count * step) // 2
@@ -235,7 +255,11 @@ def _part(
 
 
 def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
-    """(4πs/λ)² min(1, λ/P): power that leaves the zeroth order, as far as no other order takes it up."""
+    """Return the estimated power that leaves the zeroth order and that no other order carries.
+
+    It is (4πs/λ)² min(1, λ/P), where s is the standard deviation of the heights, and P the period of a sine with this s
+    and the mean slope of the surface.
+    """
     rms = heightfield.rms_um / wavelength_um
     if rms == 0.0:
         return 0.0
@@ -243,9 +267,10 @@ def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
 
 
 def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
-    """Share of the relief in two steps in a row, in one direction, over which the phase changes by half a cycle each.
+    """Return the share of the relief in pairs of consecutive steps that change the phase by half a cycle each.
 
-    A single such step is a wall, which its two samples represent.
+    Both steps of a pair go up, or both go down. A single large step is not counted. It is a vertical wall, which two
+    samples represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0
@@ -266,7 +291,7 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
-    """Return the largest deviations from 1 of the sums of Stam's efficiencies: of a mirror, and of glass."""
+    """Return the largest deviation from 1 of the sum of Stam's efficiencies, for a mirror and for glass."""
     heights, pitch_um, window = _part(heightfield, wavelength_um)
     heights = heights / wavelength_um
     if heightfield.height_range_um == 0.0 or np.ptp(heights) > _MOST_RANGE:
@@ -274,7 +299,8 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
     v, u = _orders(heights.shape, pitch_um, wavelength_um)
     reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
     orders = np.stack([u[reachable], v[reachable]], axis=1)
-    # Each order has a κ of its own; its amplitude is interpolated between those of few κ by Chebyshev polynomials.
+    # The amplitude of each order is required at another κ. It is interpolated by Chebyshev polynomials between
+    # amplitudes at a few κ.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
     count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4
@@ -303,7 +329,10 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
 
 
 def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """Directions to the light at which orders are summed, on both sides along each axis of several samples."""
+    """Directions to the light for which orders are summed: on both sides of the normal along x and y.
+
+    An axis along which the height field has a single sample is excluded.
+    """
     lights = []
     for angle in np.radians(_ANGLES_DEG):
         for axis in (0, 1):

@@ -85,7 +85,7 @@ _NODES, TOE = 33, 0.01
 _BISECTIONS = 20
 # Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
 _TOGETHER = 8192
-# Smallest divisor; it prevents a division by zero.
+# Smallest value of a divisor that may be zero; it prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -121,7 +121,7 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     """Return the factor that maps the mean of luminances to `MEAN_SHOWN`, without the brightest 0.01 %; 1 for black."""
     luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
     most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-    # With very few luminances, the exclusion would leave none. The mean is then over all of them.
+    # With very few luminances, excluding the brightest would exclude all. In that case the mean includes all of them.
     mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -167,7 +167,7 @@ def to_srgb(
     return encode(factor * 2.0**stops * colours, display, "srgb")
 
 
-# Linear algebra is restricted to one thread here, because products with 3 × 3 matrices do not benefit from more.
+# Linear algebra is restricted to one thread here: more threads do not make products with 3 × 3 matrices faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
@@ -292,8 +292,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # For a grey, the cube roots of the three cone responses are all equal to the lightness L. Multiples of
-        # ``slopes`` add chroma.
+        # A grey of lightness L has three cone responses whose cube roots all equal L. Chroma is added as a multiple of
+        # ``slopes``, the change of these roots per unit of chroma.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 

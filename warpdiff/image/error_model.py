@@ -17,17 +17,18 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Ratio of a pixel's error to the predicted error of the plan, which is a 99th percentile, for a pixel whose contrast to
-# its neighbours equals its colour. The ratio is below 1, because a pixel's colour is a mean. Fitted: the error is
-# proportional to the eighth root of the contrast.
+# Relative error of a pixel, divided by the relative error that the plan predicts at the 99th percentile of directions.
+# The value holds for a pixel that differs from its neighbours by as much as its own colour. It is below 1, because a
+# pixel averages many directions. Fitted: a pixel's error is proportional to the eighth root of its difference from its
+# neighbours.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# Factor from the root sum of squares of two errors, of the colours and of the subpixel cells, to a bound of 95 % of all
-# errors. Fitted.
+# A pixel has two independent errors: of the colours and of the subdivision into cells. The root sum of their squares is
+# multiplied by this factor, so that it bounds 95 % of all errors. Fitted.
 _BOUND_OF_BOTH = 1.1
 
-# Model of the probability that the true error of a pixel exceeds the tolerance. The first number is the odds for an
-# estimated error equal to the tolerance. The odds increase with the ratio of the two to the power of the second number.
-# Fitted.
+# Model of the probability that the true error of a pixel exceeds the tolerance. If the estimated error equals the
+# tolerance, the odds are the first number. The odds are proportional to a power of estimated error over tolerance, and
+# the second number is its exponent. Fitted.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 
@@ -50,7 +51,7 @@ class ErrorParts:
 
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
-    """Return the estimated errors ‖ΔXYZ‖ of pixels; ``plan_error`` is the predicted relative error of the plan."""
+    """Return the estimated errors ‖ΔXYZ‖ of pixels. ``plan_error`` is the relative error that the plan predicts."""
     # The error of a colour table, or of a sum over wavelengths, is proportional to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size

@@ -29,12 +29,13 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 Bits = Literal[8, 16]
-# First, the channels of every EXR file. Then, for each layer, the suffixes of the names of its channels.
+# Channels of every EXR file, followed by the channels of each layer: "normal", for example, has the channels normal.X,
+# normal.Y and normal.Z.
 _CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 _FORMATS = (".exr", ".png")
-# Last chunk of a complete PNG file: length, name and checksum. Many readers accept files without it, which are
-# incomplete.
+# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
+# but many readers accept it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
 # channel is contiguous.
@@ -336,8 +337,8 @@ class Image:
             pixels = np.concatenate(layers, axis=2, dtype=np.float32)
             spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
             spec.attribute("compression", "zip")
-            # Without this attribute, the writer would add the current time, and two files of the same picture would
-            # differ.
+            # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
+            # two files of the same picture would differ.
             spec.attribute("DateTime", "")
             spec.attribute("oiio:ColorSpace", "lin_rec709")
             transform = f"none, linear; exposure {factor:.6g}"

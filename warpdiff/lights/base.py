@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
-# Number of samples per pixel of a disc light that is too wide for a lobe, in pictures with ``refine=False``. Limit:
-# time is proportional to it.
+# Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
+# ``refine=False``. Limit: time is proportional to it.
 DISC_SAMPLES = 128
 
 
@@ -120,7 +120,10 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class DiscPart(LobeSet):
-    """Disc light whose directions are sampled. Before pixels are subdivided, a single lobe approximates the disc."""
+    """Disc light that is too wide for one lobe: each ray draws directions on the disc.
+
+    Before pixels are subdivided, a single lobe approximates the disc.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()

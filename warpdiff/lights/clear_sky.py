@@ -42,7 +42,8 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image has the pixels of ``SkyGrid``. Otherwise resampling to that grid would spread the power of the sun.
+    # The image has the same pixels as the grid on which environments store a sky. Resampling would spread the power of
+    # the sun.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
@@ -97,12 +98,12 @@ def illuminance_ratio(sun_altitude: float) -> float:
 def _shares_of_sun(
     along: NDArray[np.float64], solid: NDArray[np.float64], towards: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return each pixel's share of the sun's power, such that mean direction and variance are those of the sun's disc.
+    """Return each pixel's share of the sun's power, so that mean direction and variance equal those of the sun's disc.
 
-    Shares in proportion to area would make the sun 18 to 28 % wider, as a pixel is 0.35° wide. Among the shares with
-    the required mean and variance, those of largest entropy are s exp(θ·x). Here s is the solid angle of a pixel. The
-    vector x has the pixel's two offsets from the sun and its squared distance. θ has three parameters, found by
-    minimising a convex function.
+    A pixel is 0.35° wide. If shares were proportional to the disc's area in each pixel, the sun would become 18 to 28 %
+    wider. Among all shares with the required mean and variance, this function selects those of largest entropy: they
+    are proportional to s exp(θ·x), where s is the solid angle of a pixel. The vector x has the pixel's two offsets from
+    the sun and its squared distance. The three parameters θ minimise a convex function.
     """
     from scipy.optimize import minimize
 

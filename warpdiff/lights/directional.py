@@ -69,9 +69,9 @@ class DirectionalLight(Checked, LobeLight):
         return Lobe(self.to_light, self.illuminant, self.power, deviations)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
-        """Return one lobe for a narrow disc, or a part with sampled directions for a wide one.
+        """Return one lobe for a narrow disc, or for a wide disc a part that draws directions at random.
 
-        See :meth:`warpdiff.lights.base.Light.parts` for the arguments.
+        The arguments are those of :meth:`warpdiff.lights.base.Light.parts`.
         """
         if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
             return super().parts(coherence, single_lobe=single_lobe, name=name)

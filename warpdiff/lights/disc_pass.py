@@ -18,20 +18,21 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import DiscPart
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
 
-# Effective number of pixels under the pixel filter, a Gaussian with standard deviation σ in pixels. Derived: 4πσ².
+# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. Derived: 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
-# Blur of one sample of a disc: its standard deviation is ``_EXTENT`` disc radii over √(samples of the pixel). Choice:
-# twice as much lowers the noise but narrows penumbrae. The limit ``_MOST_EXTENT``, in radii, is the standard deviation
-# of a whole disc.
+# A sample of a disc light counts as a Gaussian source, which lowers the noise. The first number, over the square root
+# of the samples per pixel, is the Gaussian's standard deviation in radii of the disc. Choice: twice as much narrows
+# penumbrae. The second number is the largest standard deviation, that of the whole disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
 # Number of samples per pixel whose directions are measured to choose a plan. Limit: time is proportional to it.
 _MEASURED = 16
 
 
 class DiscPass(LobePass):
-    """Pass of a disc.
+    """Pass of a disc light whose directions are drawn at random.
 
-    Lobe indices below ``sample_count`` are samples; the last one is a Gaussian with the disc's extent.
+    Lobe indices below ``sample_count`` stand for one random direction each. The index ``sample_count`` stands for a
+    Gaussian lobe with the extent of the whole disc.
     """
 
     is_sampled = True
@@ -43,7 +44,11 @@ class DiscPass(LobePass):
 
     @property
     def first_lobes(self) -> range:
-        """Lobes that are evaluated with one ray per pixel: the Gaussian if cells follow, otherwise all samples."""
+        """Lobes that are evaluated with one ray per pixel.
+
+        If pixels are subdivided afterwards, this is only the Gaussian lobe of the whole disc, otherwise all random
+        directions.
+        """
         return (
             range(self.part.sample_count, self.part.sample_count + 1)
             if self.context.refines
@@ -52,26 +57,30 @@ class DiscPass(LobePass):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured for the plan.
+        """Lobes whose directions are measured to choose a plan.
 
-        The first samples suffice, as each pixel draws other directions.
+        A few suffice, because every pixel draws other directions on the disc.
         """
         return range(_MEASURED)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample per cell if pixels are refined; otherwise the cells of a pixel share its samples."""
+        """Return the indices of the directions that each subpixel cell draws.
+
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
+        """
         return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no occluder grid. A grid serves only one direction, but each ray draws its own."""
+        """Make no occluder grid: it serves shadow rays of a single direction, but each ray draws another direction."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:
-        """Return the number of samples of each ray."""
+        """Return the number of directions on the disc that each ray of a batch draws."""
         return len(self.cell_lobes(batch.level)) if batch.level else self.part.sample_count
 
     def _extent(self, batch: RayBatch) -> float:
-        """Return the standard deviation of the blur of one sample, in radii of the disc."""
+        """Return the standard deviation of the Gaussian source for which one sample counts, in radii of the disc."""
         rays = _COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0
         return min(_EXTENT / math.sqrt(rays * self._samples(batch)), _MOST_EXTENT)
 
@@ -88,7 +97,7 @@ class DiscPass(LobePass):
         return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: those of the pixel filter, widened by the blur of the sample."""
+        """Return kernel calls that compute footprints: those of the pixel filter, widened by the extent of a sample."""
         if lobe == self.part.sample_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

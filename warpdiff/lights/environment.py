@@ -44,10 +44,10 @@ _DEFAULT_DIRECTIONS = 64
 # Approximate memory per pixel [bytes] to load an image, and to compute a background. With larger values, images that
 # would fit in memory raise ``MemoryError``.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
-# Largest linear factor of the sun of a clear sky. Limit: the radiance of the sun remains below ``_MOST_RADIANCE``.
+# Largest linear factor of the sun of a clear sky. Limit: the sun's radiance then remains below the largest radiance.
 _MOST_SUN = 1e3
-# Largest number of cached entries of ``Environment._parts``, which has one entry per window and number of directions.
-# Limit: an entry has 7 MB.
+# Largest number of cached pairs of a window and a number of directions, for each of which an environment stores its sky
+# and suns. Limit: one pair uses 7 MB.
 _MOST_PARTS = 4
 
 
@@ -99,8 +99,8 @@ class Environment(Checked, Light):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # The cache ``_parts`` is neither copied nor pickled: its parts have arrays on a device, which belong to this
-        # process.
+        # The cache ``_parts`` is neither copied nor pickled, because it contains arrays on a device, which belong to
+        # this process.
         return {name: value for name, value in vars(self).items() if name != "_parts"}
 
     @classmethod
@@ -236,20 +236,21 @@ class Environment(Checked, Light):
 
     @forks.cached_property
     def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Radiances of the sky on its latitude-longitude grid, without suns, and the suns.
+        """Radiances of the sky on its latitude-longitude grid, without the suns; and the suns.
 
-        Neither depends on the window, the scale or the rotation.
+        Environments that differ only in rotation or scale share these values, which do not depend on the coherence
+        window either.
         """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return grid.astype(np.float32), suns
 
     @forks.cached_property
     def _parts(self) -> LruCache[tuple[LightPart, ...]]:
-        """Cache of parts by window and number of directions. Later pictures reuse the arrays of the parts."""
+        """Cache of the environment's parts, its sky and its suns, by coherence window and number of directions."""
         return LruCache(most=_MOST_PARTS)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs)
-        """Return the sky and the suns, which the environment caches: see :class:`warpdiff.lights.base.Light`."""
+        """Return the sky and the suns, from a cache. The arguments are those of :class:`warpdiff.lights.base.Light`."""
         if coherence.kind != "averaged" or coherence.sigma_um is None:
             raise ArgumentValueError(
                 f"{ref(name)} must not be an Environment for {ref('coherence')} of kind {coherence.kind!r}; use an "
@@ -261,7 +262,7 @@ class Environment(Checked, Light):
 
 
 def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """Return an environment with the same radiances and other, checked settings; both environments share one grid."""
+    """Return a copy of an environment with other, already checked settings. Both share the radiances and their grid."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grid=environment._grid)
     return result
@@ -293,12 +294,12 @@ class SkyPart(LightPart):
 
 
 def _make_parts(environment: Environment, sigma_um: float, directions: int) -> tuple[LightPart, ...]:
-    """Return the parts for windows of a standard deviation and a number of directions.
+    """Return the sky and the suns as parts of a light, with powers for a window of the standard deviation ``sigma_um``.
 
-    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ². The factor 4πσ²/λ² converts ρ to an absolute
-    reflectance. Therefore L/λ² has the role that the illuminant has for a directional light. Spectra of RGB colours
-    under D65 come from basis functions (Mallett and Yuksel, Spectral Primary Decomposition for Rendering with sRGB
-    Reflectance, 2019).
+    Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², because 4πσ²/λ² converts the relative reflectance ρ to
+    an absolute one. The spectrum L/λ² is therefore used in the same way as the illuminant of a directional light.
+    Spectra of RGB colours under D65 come from basis functions (Mallett and Yuksel, Spectral Primary Decomposition for
+    Rendering with sRGB Reflectance, 2019).
     """
     grid, suns = environment._grid
     primaries, per_radiance = _spectra()

@@ -42,8 +42,9 @@ class SurfaceOptics:
         normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
         materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
-        energy: Factors of :class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`; None leaves the energy
-            of Stam's model unchanged.
+        energy: Factors of the energy normalisation
+            (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
+            perfect mirror do not sum to 1.
         pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
     """
@@ -65,10 +66,12 @@ class PassContext:
         rays: Camera rays, on whose hits the light is sampled.
         optics: Optics of the surface, without the diffraction of its height field.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
-        pigment_strength: Strength of the pigment over R(0); 0 without a pigment.
+        pigment_strength: Strength of the pigment divided by R(0), because pictures are relative to R(0); 0 without a
+            pigment.
         materials_of_faces: Index of each face's material on the device; empty for a single material.
         refines: Whether pixels with large errors are subdivided.
-        reflection: The struct ``Reflection`` of the kernels.
+        reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
+            pigment.
     """
 
     def __init__(
@@ -122,9 +125,9 @@ class PassContext:
 
 @dataclass(frozen=True)
 class LightSamples:
-    """Arrays for one lobe at n hits; :meth:`LightPass.scatter` fills them, and the next lobe overwrites them.
+    """Arrays for one lobe of a light at n hits of rays. The next lobe overwrites the values.
 
-    For a sampled light, a lobe stands for one direction that each ray draws.
+    If a light's directions are drawn at random, a lobe stands for one direction that each ray draws.
 
     Attributes:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
@@ -152,7 +155,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays; those of footprints are empty without ``means``."""
+        """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -209,7 +212,7 @@ class Counting:
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
-        counted: Weight of the hits in the coverage; 0 if an earlier lobe has counted these hits.
+        counted: Weight of a hit in the sum of coverage; 0 if an earlier lobe has counted the same hits.
         begins: Whether all sums are set to zero before this lobe is added.
         resets: Whether the sum of colours is set to zero before this lobe is added.
     """
@@ -251,22 +254,22 @@ class LightPass(ABC):
 
     @property
     def first_lobes(self) -> range:
-        """Lobes that are evaluated with one ray per pixel."""
+        """Lobes that are evaluated with one ray per pixel, before pixels are subdivided."""
         return range(self.lobe_count)
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured for the plan."""
+        """Lobes whose directions are measured to choose a plan."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of sampled lights)
-        """Return the lobes that are evaluated for the cells of a level."""
+        """Return the lobes that are evaluated for subpixel cells of a level."""
         return range(self.lobe_count)
 
     @property
     @abstractmethod
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Return a part of the key of a recorded CUDA graph: the values that kernel launches of this pass depend on.
+        """Values on which kernel launches of this pass depend, as a part of the key of a recorded CUDA graph.
 
         A replayed launch uses the scalar arguments of the recording. A scalar that may differ in the next picture must
         therefore be in this key, or in an array that :meth:`begin` fills.
@@ -288,23 +291,24 @@ class LightPass(ABC):
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Make the grids for shadow rays. ``count`` returns the number of shadow rays per lobe."""
+        """Make the occluder grids for shadow rays. Calling ``count`` returns the number of shadow rays per lobe."""
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the kernel calls that fill ``batch.samples`` for a lobe.
-
-        They also add the light of the pigment to the sums.
-        """
+        """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of ``batch.samples``, and add them to the sums."""
+        """Return the kernel calls that look up the colours at the samples of a batch, and add them to its sums."""
 
     def look_up(
         self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
     ) -> list[KernelCall]:
-        """Return the kernel calls that add a lobe's colours; ``gains`` has an array for each spectrum of the lobe."""
+        """Return the kernel calls that look up the colours of a lobe, and add them to the batch's sums.
+
+        ``gains`` has an array of geometry factors for each spectrum of the lobe. ``footprints`` is None for pixels that
+        show points.
+        """
         samples, calls = batch.samples, []
         for material, spectra in enumerate(self.illuminated[lobe]):
             for gain, illuminated in zip(gains, spectra, strict=True):
@@ -320,7 +324,7 @@ class LightPass(ABC):
         return calls
 
     def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
-        """Return the kernel calls that compute the colours of cells, and add them over all lobes of the light."""
+        """Return the kernel calls that compute the colours of subpixel cells, added over all lobes of the light."""
         calls = []
         for lobe in self.cell_lobes(batch.level):
             calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]

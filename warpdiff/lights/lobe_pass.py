@@ -29,8 +29,9 @@ _MOST_NEARBY = 1e9
 class LobePass(LightPass):
     """Pass of lobes, which are processed one after the other.
 
-    A subclass for lights with an emission profile overrides :meth:`gain_calls`; one with other footprints overrides
-    :meth:`footprint_calls`. If these methods pass scalars to kernels, :attr:`graph_key` must contain the scalars.
+    A subclass for lights with an emission profile overrides :meth:`gain_calls`. A subclass with other footprints
+    overrides :meth:`footprint_calls`. If these methods pass numbers to kernels, :attr:`graph_key` must contain the
+    numbers.
 
     Attributes:
         part: Set of lobes that this pass samples.
@@ -60,17 +61,14 @@ class LobePass(LightPass):
         self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
 
     def _place(self, lobe: Lobe) -> tuple[float, ...]:
-        """Return a lobe as homogeneous coordinates in units of ``Surface``: a direction and 0, or a position and 1."""
+        """Return a lobe's source in homogeneous mesh coordinates: a direction and 0, or a position and 1."""
         if lobe.position is None:
             return *lobe.to_light, 0.0
         surface = self.context.rays.surface
         return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
 
     def _power(self, lobe: Lobe) -> float:
-        """Return a lobe's power at a distance of one mesh radius.
-
-        Users specify the power at a distance of one mesh unit.
-        """
+        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
         if lobe.position is None:
             return lobe.power
         radius = self.context.rays.surface.radius
@@ -84,24 +82,26 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Key of a recorded CUDA graph: the illuminants of the lobes, and whether each has an extent and a position."""
+        """Values on which the launches depend: the illuminants, and whether each lobe has an extent and a position.
+
+        They are a part of the key of a recorded CUDA graph.
+        """
         kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
-        """Whether each lobe has its struct ``ShadowGrid``, without which no shadow ray can be traced."""
+        """Whether the occluder grids of all lobes have been prepared. Before that, no shadow ray can be traced."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Make the struct ``ShadowGrid`` of each lobe.
+        """Prepare one occluder grid per lobe.
 
-        A grid serves one direction: structs of point lights have none.
+        The grid of a point light is empty, because a grid serves only one direction; its shadow rays use the hierarchy.
         """
         rays = self.context.rays
         to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
-        # The previous grids are freed first, because the memory may not suffice for both the previous and the new
-        # grids.
+        # The previous grids are deleted before new ones are made, because the memory may not suffice for both.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
@@ -112,9 +112,10 @@ class LobePass(LightPass):
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
     ) -> list[KernelCall]:
-        """Return the kernel calls of :meth:`scatter` with the weight ``share``.
+        """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe.
 
-        ``towards`` has a direction to the light for each ray, or is empty, and then the lobe's direction applies.
+        ``share`` is the weight of the lobe's colours. ``towards`` has a direction to the light for each ray; if it is
+        empty, all rays use the direction of the lobe.
         """
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
@@ -136,7 +137,7 @@ class LobePass(LightPass):
     def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
         """Return kernel calls that change the geometry factors of a lobe, for example by an emission profile.
 
-        They do not change the light of the pigment, or which pixels are marked as illuminated.
+        The light of the pigment and the marks of illuminated pixels stay unchanged.
         """
         return []
 

@@ -1,4 +1,4 @@
-"""Distributions from which a sky's samples are drawn: one over (u, v), by the surface's colours; one over the sky."""
+"""Distributions from which the directions to a sky are drawn: by bright colours of the surface, and by a bright sky."""
 
 from __future__ import annotations
 
@@ -22,29 +22,31 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Rings of the distribution per octave of |(u, v)|, and its largest |(u, v)|. A disc replaces the rings within
-# ``_DISC_RADIUS`` standard deviations of an order's lobe. Choices: they change the noise, not the mean.
+# Grid of (u, v) on which directions are drawn by the surface's colours: rings per octave of |(u, v)|, largest |(u, v)|,
+# and radius of a disc in the middle without rings, in standard deviations of an order's lobe. Choices: they change only
+# the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Distance of azimuth samples on a ring, in standard deviations of the lobe of an order, and the fewest and the most
-# samples per ring. Limit: with at most 64 samples per ring, errors are 1.5 times as large
+# Distance of neighbouring azimuth samples on a ring of (u, v), in standard deviations of an order's lobe, and least and
+# largest number of samples per ring. Limit: with at most 64 per ring, errors are 1.5 times as large
 # (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
-# Values of |w| = cos θi + cos θr. The distribution over (u, v) is the mean of the surface's colours at these values.
-# Choice: they change the noise, not the mean.
+# Values of |w| = cos θi + cos θr at which colours of the surface are looked up. Their mean determines the probability
+# of a direction. Choice: they change only the noise.
 _WS = (0.8, 1.3, 1.8)
-# Standard deviation of the footprint of the look-up of one azimuth sample, relative to the distance of samples. Choice:
-# wider look-ups blur the distribution.
+# Standard deviation of the footprint with which the colour at an azimuth sample is looked up, relative to the distance
+# of samples. Choice: wider footprints blur the distribution.
 _WIDTH = 0.4
-# Share of a ring's samples that are distributed evenly over its azimuths, and share of all samples that are distributed
-# evenly over the rings. Reason: points of (u, v) that are dark at the values ``_WS`` of |w| may be bright at others.
+# Share of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. Reason: a
+# point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|, and must have a chance to be
+# drawn.
 _EVEN_SHARE = 0.05
-# Number of cells of the sky's grid along a side of a block, for which one density is stored. Limit: smaller blocks use
-# more memory and time to search.
+# Number of cells per side of a block of the sky's grid; a block has one probability. Limit: smaller blocks require more
+# memory and search time.
 _CELLS_OF_BLOCK = 4
 
 
 def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
-    """Upload a sky: its powers, cumulative shares of rows and of columns of blocks, and densities of blocks."""
+    """Copy a sky to a device: its powers, and the distribution from which bright directions are drawn."""
     arrays = _of_sky(grid)
     return (
         wp.array(grid.powers, dtype=wp.vec3f, device=device),
@@ -53,10 +55,10 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
 
 
 def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
-    """Return the look-up for skies, from a cache: with the smaller table that suffices for them.
+    """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
     Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
-    spectra, and each of them would require such a table.
+    spectra, and each of them would require such a large table.
     """
     plan = lookup.plan
     rings, azimuths = polar_grid.size_for_skies(plan)
@@ -71,7 +73,9 @@ def distribution_for(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
 ) -> sky_samples.SkyDistribution:  # fmt: skip
-    """Return the struct ``SkyDistribution`` of a look-up and a sky; the look-up caches the surface's part.
+    """Return the distribution from which kernels draw directions to a sky, by the colours of surface and sky.
+
+    The part that depends on the surface alone is cached in ``lookup``.
 
     Args:
         lookup: Look-up of the surface's colours.
@@ -91,7 +95,7 @@ def distribution_for(
 def _of_surface(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
 ) -> tuple[wp.array | float, ...]:
-    """Return the fields of ``SkyDistribution`` that depend on the surface alone: the distribution over (u, v)."""
+    """Return the part of the distribution for the surface alone: probabilities over rings and azimuths of (u, v)."""
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv
     per_log = _RINGS_PER_OCTAVE / math.log(2.0)
@@ -127,7 +131,7 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return X + Y + Z at points of (u, v), shape (n,), added over materials and spectra, mean over |w| in ``_WS``."""
+    """Return X + Y + Z at points (u, v), added over materials and spectra, as a mean over a few |w|, shape (n,)."""
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
     vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)
@@ -142,10 +146,14 @@ def _luminances(
 
 
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distribution over a sky's blocks: cumulative shares of rows, of blocks in a row, and densities."""
+    """Return the distribution from which directions are drawn by the brightness of a sky.
+
+    The arrays have the cumulative probability of rows of blocks, the cumulative probability of blocks within each row,
+    and the density of each block.
+    """
     bright = grid.powers.sum(axis=2)
-    # Kernels interpolate the sky between the centres of cells. A bright cell therefore also brightens the cells next to
-    # it, which may be in another block.
+    # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A
+    # neighbour may be in another block, so each cell counts with the brightness of its brightest neighbour.
     bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
     bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
     rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)

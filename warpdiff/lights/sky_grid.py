@@ -1,4 +1,4 @@
-"""Sky grids: powers of a sky without its suns, by latitude and longitude, in three spectra that add up to any RGB."""
+"""Grids of a sky: power by latitude and longitude, without suns, in three spectra that add up to any RGB."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 
 # Number of rows of the latitude-longitude grid, 0.35° each. Limit: twice as many take four times the memory.
 ROWS = 512
-# Angular radius within which bright pixels count as one sun [rad]: the larger of ``_SUN_REACH`` and ``_SUN_PIXELS``
-# pixels of the image. No suns are extracted if it exceeds ``_FARTHEST_SUN_REACH``. Limit: one Gaussian lobe is too
-# coarse for larger lights.
+# Angular radius within which bright pixels count as one sun [rad]. It is the first number, or the second number times
+# the size of a pixel if that is larger. No suns are extracted from an image for which the radius exceeds the third
+# number. Limit: one Gaussian lobe is too coarse for larger lights.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
-# A sun requires surroundings of at most ``_AROUND_SUN`` of its brightness, and at least ``_SUN_SHARE`` of the sky's
-# light; at most ``_MOST_SUNS`` are extracted. Choices: other bright parts remain in the sky, where they cause more
-# noise.
+# Conditions for a sun: largest brightness of its surroundings relative to the sun, least share of the sky's light, and
+# largest number of suns. Choices: other bright spots remain in the sky, where they cause more noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
@@ -39,7 +38,7 @@ class Sun(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SkyGrid:
-    """Grid of a sky's powers at one rotation, scale and window.
+    """Powers of a sky on a latitude-longitude grid, for one rotation, scale and coherence window.
 
     Attributes:
         spectra: Three illuminants, which add up to any colour.
@@ -57,7 +56,7 @@ class SkyGrid:
 
 
 def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Return values of a latitude-longitude grid in some directions, by bilinear interpolation."""
+    """Return the values of a latitude-longitude grid in given directions, by bilinear interpolation."""
     height, width = grid.shape[:2]
     polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
     row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
@@ -74,7 +73,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """Return a sky on the grid without its suns, and the suns, which are too small for the cells of the grid."""
+    """Return the radiance of a sky on the grid without its suns; and the suns, too small for its cells."""
     grid = _on_grid(radiance)
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []
@@ -90,15 +89,15 @@ def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], li
 
 
 def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[np.float64]] | None:
-    """Return the sun of a sky and the sky without it, or None if no part is small and bright enough."""
+    """Return the brightest sun of a sky, and the sky without it; None if no spot is small and bright enough."""
     height, width = grid.shape[:2]
     bright = grid @ colorimetry.RGB_TO_XYZ[1]
     solid = -np.diff(np.cos(np.arange(height + 1) / height * math.pi))[:, None] * 2.0 * math.pi / width
     least_power = _SUN_SHARE * (bright * solid).sum()
     brightest = bright.max()
     row, column = np.unravel_index(bright.argmax(), bright.shape)
-    # The window around the brightest cell extends three angular radii of the sun in each direction: one radius to the
-    # sun's centre, and two radii for the surroundings.
+    # Only a window around the brightest cell is searched. It extends three angular radii of the sun in each direction:
+    # one radius to the sun's centre, and two radii for the surroundings.
     reach = math.ceil(3.0 * sun_extent / math.pi * height) + 1
     rows = slice(max(int(row) - reach, 0), int(row) + reach + 1)
     bright, solid = bright[rows], np.broadcast_to(solid, bright.shape)[rows]
@@ -115,7 +114,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
         towards /= np.linalg.norm(towards)
     if bright[around].max() > _AROUND_SUN * brightest:
         return None
-    # The sky keeps the brightness of the sun's surroundings in the place of the sun.
+    # Behind the extracted sun, the sky gets the brightness of the sun's surroundings.
     share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
     rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
     rest = grid.copy()
@@ -133,9 +132,9 @@ def grid_directions() -> NDArray[np.float64]:
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return radiance on the grid, shape (ROWS, 2 ROWS, 3).
+    """Return the radiance of an image on the grid, shape (ROWS, 2 ROWS, 3).
 
-    Smaller pixels are averaged over the cells of the grid; larger pixels are interpolated.
+    An image with smaller pixels is averaged over the cells of the grid. An image with larger pixels is interpolated.
     """
     result = radiance.astype(np.float64)
     if len(result) < ROWS:
@@ -150,7 +149,8 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:
-            # The mean over rows is weighted by their solid angles.
+            # Rows of pixels near the poles have smaller solid angles. The mean over rows is therefore weighted by solid
+            # angle.
             edges, targets = (0.5 - 0.5 * np.cos(math.pi * places) for places in (edges, targets))
         result = np.moveaxis(result, axis, 0)
         sums = np.concatenate([np.zeros((1, *result.shape[1:])), np.cumsum(result * np.diff(edges)[:, None, None], 0)])

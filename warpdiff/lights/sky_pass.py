@@ -21,16 +21,19 @@ if TYPE_CHECKING:
     from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.tables.lookup import ColourLookup
 
-# Share of the samples that are drawn by the brightness of the sky alone, without and with a pigment. Choices: they
-# change the noise, not the mean. A pigment reflects light from all directions, so that more samples come from the sky.
+# Share of the directions that are drawn by the brightness of the sky alone, without and with a pigment. The others are
+# drawn by the colours of the surface. A pigment reflects light from all directions, so that more are drawn by the sky.
+# Choices: they change only the noise.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of samples per pixel before pixels are subdivided. Choice: their colours only serve to estimate the reference
-# luminance of the picture.
+# Number of directions per pixel before pixels are subdivided. Choice: these colours serve only to estimate the
+# reference luminance of the picture.
 _FIRST_SAMPLES = 4
 
 
 class SkyPass(LightPass):
-    """Pass of a sky. The environment caches the grid of the sky and the arrays of the grid on a device.
+    """Pass of a sky: each ray draws directions where the surface and the sky are bright.
+
+    The environment caches the grid of the sky and the grid's arrays on a device.
 
     Attributes:
         grid: Grid of the sky's powers.
@@ -46,30 +49,34 @@ class SkyPass(LightPass):
 
     @property
     def lobe_count(self) -> int:
-        """Number of samples per pixel if pixels are not subdivided."""
+        """Number of directions per pixel in a picture whose pixels are not subdivided."""
         return self.grid.directions
 
     @property
     def first_lobes(self) -> range:
-        """Samples that are evaluated with one ray per pixel: all of them, or only a few if subpixel cells follow."""
+        """Indices of the directions that a pixel draws with one ray: all, or a few if it is subdivided afterwards."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
-        """Return one sample per cell if pixels are refined; otherwise the cells of a pixel share its samples."""
+        """Return the indices of the directions that each subpixel cell draws.
+
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
+        """
         return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Key of a recorded CUDA graph: the grid of the sky, whose arrays the launches read."""
+        """Grid of the sky, as a part of the key of a recorded CUDA graph: the recorded launches read its arrays."""
         return type(self), self.grid
 
     def begin(self, previous: LightPass | None) -> None:
-        """Upload the sky, unless the environment or the previous pass already has its arrays on the device."""
+        """Copy the sky to the device, unless the environment or the previous pass already has its arrays there."""
         context = self.context
         if isinstance(previous, SkyPass) and previous.grid is self.grid:
             self._lights, self._sky, self._blocks = previous._lights, previous._sky, previous._blocks
             return
-        # A sky has no lobes, but kernels read the strength of the pigment from the array of lobes' powers.
+        # A sky has no lobes, but kernels read the strength of the pigment from the array with one entry per lobe.
         self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._sky = sky_samples.Sky()
         self._sky.powers, *self._blocks = self.grid.device_arrays.get_or_make(
@@ -80,9 +87,9 @@ class SkyPass(LightPass):
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
-        """Return the kernel call that computes scattering vectors for light from the mirror direction.
+        """Return the kernel call that computes scattering vectors as if all light came from the mirror direction.
 
-        Footprints depend on them. The directions to the light are drawn later, by :meth:`colour`.
+        They are required for footprints. :meth:`colour` draws the actual directions later.
         """
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]

@@ -14,16 +14,16 @@ from warpdiff.core.wording import ArgumentValueError, ref
 
 Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
 KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
-# Default standard deviation of the window [µm], a convention: a coherence length of 65 µm, taken as 4σ. If doubled,
-# orders become half as wide in angle.
+# Default standard deviation σ of the window [µm], a convention: a coherence length of 65 µm counts as 4σ. If doubled,
+# the orders of a grating become half as wide in angle.
 DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Limit on the diameter of a source [degrees]: the model projects the sky to the tangent plane at the source, which is
-# not accurate for wider sources.
+# Largest angular diameter of a source [degrees]. The model replaces the directions of the source by points of a plane
+# that touches the sky there, which is not accurate for wider sources.
 _MAX_DIAMETER_DEG = 30.0
-# Limit on the number of periods along an axis; 100,000 periods of 1 µm are ten centimetres.
+# Largest number of periods along an axis. 100,000 periods of 1 µm are ten centimetres, larger than typical gratings.
 _MAX_PERIODS = 100_000
 
 
@@ -85,12 +85,12 @@ class Coherence(Checked):
 
     @property
     def adds_powers(self) -> bool:
-        """Whether coefficients add as powers; otherwise as amplitudes."""
+        """Whether the powers of neighbouring Fourier coefficients are added. Otherwise their complex amplitudes are."""
         return self.kind in {"averaged", "source"}
 
     @property
     def spread(self) -> float:
-        """Standard deviation s = α/√2 [radians] of the Gaussian that replaces a source of angular radius α."""
+        """Standard deviation s = α/√2 [radians] of the Gaussian that approximates a source of the angular radius α."""
         return math.radians((self.angular_diameter_deg or 0.0) / 2.0) / math.sqrt(2.0)
 
     def _set(self, name: str, value: float) -> None:

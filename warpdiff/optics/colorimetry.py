@@ -25,23 +25,28 @@ Illuminant = str | Spectrum
 
 # Nanometres per micrometre.
 NM_PER_UM = 1e3
-# Limits of the visible range [nm], over which colours are integrated (a convention). The file of D65 depends on them.
+# Limits of the visible range [nm], over which colours are integrated (a convention). The stored colour products of D65
+# cover exactly this range.
 LAMBDA_MIN_NM = 380
-# See `LAMBDA_MIN_NM`.
+# Longest wavelength of the visible range [nm]; see `LAMBDA_MIN_NM`.
 LAMBDA_MAX_NM = 780
 VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
 VISIBLE_NM.setflags(write=False)
-# Limits on wavelengths of callers [nm]: they admit ultraviolet and infrared, and refuse values in µm.
+# Shortest and longest wavelength that functions accept [nm]. The range includes ultraviolet and infrared, and excludes
+# values in µm that were given by mistake.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 
-# Number of samples of the interpolating polynomial, a quintic. With cubics, up to twice the samples are required.
+# Number of wavelengths through which the polynomial passes that interpolates ρ: six, for a quintic. With cubics, up to
+# twice as many wavelengths are required.
 _STENCIL = 6
-# Limits of the loop that removes negative weights: number of rounds, and share of all weights that ends it (rounding).
+# The loop that removes negative quadrature weights ends after the first number of rounds, or when negative weights are
+# at most the second number times the sum of all weights (rounding errors).
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# Difference from 1 nm by which steps of a table still count as 1 nm [nm]. Limit: rounding of wavelengths in a file.
+# Largest deficit by which steps of a tabulated spectrum below 1 nm still count as 1 nm [nm]. Limit: rounding of the
+# wavelengths in a file.
 _STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
@@ -83,7 +88,7 @@ def check_illuminant(illuminant: object, name: str = "illuminant") -> Illuminant
 
 
 def _distribution(illuminant: str) -> Any:
-    """Spectrum of an illuminant or a light source of colour-science by its name, or None."""
+    """Return the spectrum of an illuminant or light source in colour-science by its name; None if there is none."""
     for distributions in (colour_science().SDS_ILLUMINANTS, colour_science().SDS_LIGHT_SOURCES):
         if illuminant in distributions:
             return distributions[illuminant]
@@ -92,14 +97,17 @@ def _distribution(illuminant: str) -> Any:
 
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
-    """First and last wavelength of an illuminant [nm], or None; cached, as the look-up takes half a millisecond."""
+    """Return the first and last wavelength of an illuminant [nm] by its name; None if the name is not known.
+
+    The result is cached, because the look-up in colour-science requires half a millisecond.
+    """
     distribution = _distribution(illuminant)
     return None if distribution is None else (float(distribution.shape.start), float(distribution.shape.end))
 
 
 @functools.lru_cache(maxsize=256)
 def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
-    """S·(x̄, ȳ, z̄) at 380, 381, … 780 nm, divided by the sum of S·ȳ over them, shape (401, 3).
+    """Return S·(x̄, ȳ, z̄) at 380, 381, … 780 nm for an illuminant S, divided by the sum of S·ȳ, shape (401, 3).
 
     Args:
         illuminant: Name in ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES`` of colour-science, or a spectrum.
@@ -117,16 +125,18 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
 
 
 def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values of a spectrum at 380, 381, … 780 nm that keep its power, shape (401,).
+    """Return the values of a spectrum at 380, 381, … 780 nm, so that their sum is its power, shape (401,).
 
-    A table with steps of at least 1 nm is interpolated. A finer one can have lines between two whole nanometres. Its
-    power is therefore distributed to both in inverse proportion to the distance, which preserves power and position.
+    A spectrum with steps of at least 1 nm is interpolated linearly. A spectrum with finer steps may have narrow lines
+    between whole nanometres, which interpolation would miss. Its power between two whole nanometres is therefore
+    distributed to both, in inverse proportion to the distance.
     """
     inside = (wavelengths_nm > LAMBDA_MIN_NM - 1) & (wavelengths_nm < LAMBDA_MAX_NM + 1)
     if np.min(np.diff(wavelengths_nm[inside]), initial=1.0) >= 1.0 - _STEP_ROUNDING:
         return np.asarray(np.interp(VISIBLE_NM, wavelengths_nm, values))
     cuts = np.unique(np.concatenate([VISIBLE_NM, np.clip(wavelengths_nm, LAMBDA_MIN_NM, LAMBDA_MAX_NM)]))
-    # Between two cuts the spectrum and the distances are linear, so that Simpson's rule is exact.
+    # The integral is computed between consecutive cuts: all whole nanometres and all wavelengths of the table. There
+    # the integrand is a product of two linear functions, for which Simpson's rule is exact.
     left, length = cuts[:-1], np.diff(cuts)
     result = np.zeros(len(VISIBLE_NM))
     for place, weight in ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)):
@@ -136,13 +146,14 @@ def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np
         share = points - VISIBLE_NM[before]
         np.add.at(result, before, power * (1.0 - share))
         np.add.at(result, before + 1, power * share)
-    # The ends have half a nanometre of the spectrum, and full weight in the sum over wavelengths.
+    # The first and the last value contain only half a nanometre of the spectrum, and are doubled. Sums over wavelengths
+    # give them the full weight.
     result[[0, -1]] *= 2.0
     return result
 
 
 def products_by_colour_science(name: str) -> NDArray[np.float64]:
-    """`colour_products` of an illuminant, computed by colour-science."""
+    """Return the result of `colour_products` for the name of an illuminant, computed by colour-science."""
     return _products(_distribution(name).copy().align(_shape()).values)
 
 
@@ -151,15 +162,16 @@ def _shape() -> Any:
 
 
 def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
-    """S·(x̄, ȳ, z̄) divided by the sum of S·ȳ, for a spectrum S at steps of 1 nm."""
+    """Return S·(x̄, ȳ, z̄) divided by the sum of S·ȳ, for a spectrum S with steps of 1 nm."""
     observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(_shape()).values
-    # Interpolation to 1 nm gives values of −1e-24 at the ends of the curves.
+    # Negative values are replaced by 0: the interpolation of colour-science to 1 nm gives values of −1e-24 at the ends
+    # of the colour-matching functions.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)
     return np.asarray(products / products[:, 1].sum())
 
 
 def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
-    """Weights that turn samples of ρ(λ) into XYZ.
+    """Return the weights by which samples of the reflectance ρ(λ) are summed to XYZ.
 
     ρ is interpolated in 1/λ by the quintic polynomial through the six nearest samples, and is constant outside them.
     Its product with the colour curves is integrated, and the weights are scaled to the exact white. Linear
@@ -179,7 +191,8 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
     grid = VISIBLE_NM
-    # Between two cuts both the curves and the interpolant are smooth: three Gauss points per interval suffice.
+    # The integral is computed between consecutive cuts: all whole nanometres and all given wavelengths. The integrand
+    # has no kinks there, and three Gauss points per interval suffice.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]
     gauss, measure = np.polynomial.legendre.leggauss(3)
@@ -194,7 +207,11 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distribute masses (p, 3) at points to the nearest nodes by Lagrange interpolation in 1/λ, shape (m, 3)."""
+    """Return the weights of wavelengths (``nodes``) whose sum over ρ equals the sum over the interpolated ρ.
+
+    ρ is interpolated at the wavelengths ``points`` by Lagrange polynomials in 1/λ, and summed with the weights
+    ``masses`` there, shape (p, 3). The result has the shape (m, 3).
+    """
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])
     first = np.clip(np.searchsorted(nodes, points) - stencil // 2, 0, nodes.size - stencil)
@@ -209,7 +226,10 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Move each negative weight in halves to its two neighbours, repeatedly; sums over a smooth ρ hardly change."""
+    """Replace negative weights by 0: half of each is added to either neighbour, repeatedly.
+
+    Sums over a smooth ρ hardly change.
+    """
     for _ in range(_MOST_ROUNDS):
         negative = np.minimum(weights, 0.0)
         if np.all(negative.sum(axis=0) >= -_NEGLIGIBLE * weights.sum(axis=0)):
@@ -220,9 +240,10 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
-    """``count`` wavelengths [nm], increasing, equally spaced in 1/λ over the visible range, ends included.
+    """Return ``count`` increasing wavelengths [nm], equally spaced in 1/λ over the visible range, ends included.
 
-    In one direction a Fourier coefficient contributes as a Gaussian in 1/λ, whose width is the same for all λ.
+    Steps are equal in 1/λ because the light of a Fourier coefficient in a given direction is a Gaussian over 1/λ, with
+    the same width at all λ.
     """
     validation.count(count, "count", least=2)
     return 1.0 / np.linspace(1.0 / LAMBDA_MIN_NM, 1.0 / LAMBDA_MAX_NM, count)
@@ -232,10 +253,10 @@ def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
 def uniform_quadrature(
     count: int, illuminant: Illuminant, *, geometric: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``count`` wavenumbers [1/µm] over the visible range, shape (m,), and weights, shape (m, 3).
+    """Return ``count`` wavenumbers 1/λ [1/µm] over the visible range, shape (m,), and their weights, shape (m, 3).
 
-    They are equally spaced. With ``geometric`` they have equal ratios, for a source of finite size: the width of a
-    coefficient's Gaussian is then proportional to λ.
+    The wavenumbers are equally spaced. With ``geometric`` they have equal ratios. This is for a source of finite size,
+    for which the width over 1/λ of the light of a coefficient is proportional to 1/λ.
     """
     wavelengths = wavelengths_uniform_in_wavenumber(count)
     if geometric:
@@ -260,7 +281,7 @@ def check_wavelengths(wavelengths_nm: ArrayLike) -> NDArray[np.float64]:
 
 
 def xyz_to_rgb(xyz: ArrayLike) -> NDArray[np.float64]:
-    """Linear sRGB of CIE XYZ, shape (..., 3); colours out of gamut keep their negative components."""
+    """Return linear sRGB of CIE XYZ, shape (..., 3). Colours outside the gamut of sRGB have negative components."""
     return np.asarray(np.asarray(xyz, dtype=np.float64) @ XYZ_TO_RGB.T)
 
 
@@ -270,7 +291,7 @@ def rgb_to_xyz(rgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def colour_difference(xyz: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
-    """ΔE2000 (CIE 142) between XYZ colours, shape (..., 3); the white point is D65 with Y = 1."""
+    """Return the colour difference ΔE2000 (CIE 142) of XYZ colours, shape (..., 3); white is D65 with Y = 1."""
     colour = colour_science()
     white = colour.XYZ_to_xy(colour_products("D65").sum(axis=0))
     labs = [colour.XYZ_to_Lab(np.asarray(colours, dtype=np.float64), white) for colours in (xyz, other)]

@@ -33,12 +33,14 @@ if TYPE_CHECKING:
 METALS = Path(__file__).with_name("metals.json")
 Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
 Polarisation = Literal["s", "p"]
-# Limit on the thickness of a film [nm]: fringes of thicker films are narrower than the sampling of colours resolves.
+# Largest thickness of a film [nm]. The interference fringes of thicker films over the wavelength are narrower than the
+# sampling of colours resolves.
 _THICKEST_FILM_NM = 1000.0
-# Limit on k above which a material counts as opaque to a pigment below it: power falls to 1/e within 4 µm. If doubled,
-# more materials show their pigment.
+# Imaginary part k of the index above which a material counts as opaque, so that a pigment below it is invisible: at
+# this k, the power falls to 1/e within 4 µm. If doubled, more materials show their pigment.
 _OPAQUE = 0.01
-# Number of angles in a table of transmittances: linear interpolation has an error of 3e-6 for Schlick's reflectance.
+# Number of angles at which the transmittance of a surface is tabulated. Linear interpolation between them has an error
+# of 3e-6 for Schlick's reflectance.
 _TRANSMITTANCE_ANGLES = 1025
 
 
@@ -263,10 +265,11 @@ def reflectance_at(
     cosine: NDArray[np.float64],
     polarisation: Polarisation | None = None,
 ) -> NDArray[np.float64]:
-    """R at wavelengths [nm] and cosines of the angle of incidence, which broadcast against each other."""
+    """Return the power reflectance R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
     cosine = np.clip(cosine, 0.0, 1.0)
     media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
-    # Cosines in each medium by Snell's law. The principal root is the wave that decays into an absorbing medium.
+    # Cosines of the angle of refraction in each medium, by Snell's law. They are complex in an absorbing medium. The
+    # principal square root belongs to the wave that decays into the medium.
     along2 = 1.0 - cosine * cosine
     indices = [np.ones_like(media[0]), *media]
     cosines = [cosine + 0j, *(np.sqrt(1.0 - along2 / (index * index) + 0j) for index in media)]
@@ -278,7 +281,7 @@ def reflectance_at(
             for first, second, one, other in zip(indices, indices[1:], cosines, cosines[1:], strict=False)
         )
         if below:
-            # Airy's sum over multiple reflections in the film.
+            # Airy's formula sums all reflections between the two boundaries of the film.
             below[0] = below[0] * np.exp(4j * np.pi * material.film_nm / wavelengths_nm * indices[1] * cosines[1])
             amplitude = (amplitude + below[0]) / (1.0 + amplitude * below[0])
         result = result + np.abs(amplitude) ** 2 / len(polarisations)
@@ -288,9 +291,9 @@ def reflectance_at(
 def reflectances(
     material: Material | None, scattering_vectors: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """R(θd, λ), shape (n, m), for n scattering vectors, with cos θd = |(u, v, w)|/2, and m wavelengths [nm].
+    """Return R(θd, λ), shape (n, m), for n scattering vectors and m wavelengths [nm]; cos θd = |(u, v, w)|/2.
 
-    Without a material the result is 1, because the gains contain the reflectance.
+    Without a material the result is 1, because the gains already contain Schlick's reflectance.
     """
     if material is None:
         return np.ones((1, 1))
@@ -317,16 +320,16 @@ def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[n
 def _fresnel(
     first: _Complex, second: _Complex, cosine: _Complex, next_cosine: _Complex, polarisation: Polarisation
 ) -> _Complex:
-    """Fresnel's reflected amplitude at a boundary, from the indices and the cosines of both media."""
+    """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
-    # The sum is zero only at 90° between media of the same index.
+    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. It is then replaced by 1.
     return np.asarray((a - b) / np.where(total == 0.0, 1.0, total))
 
 
 @functools.cache
 def _metals() -> dict[str, Material]:
-    """Metals of the data file by chemical symbol."""
+    """Return the metals in the data file ``metals.json``, by chemical symbol."""
     tables = json.loads(METALS.read_text(encoding="utf-8"))
     return {
         symbol: Material(
@@ -338,11 +341,11 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """Illuminant and illuminated material, for which a table or a sum computes colours.
+    """An illuminant and a material that it illuminates, for which a table or a sum over wavelengths computes colours.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.
-        material: Material; None if the gains contain the reflectance.
+        material: Material; None if the gains already contain Schlick's reflectance.
     """
 
     illuminant: colorimetry.Illuminant
@@ -358,7 +361,7 @@ class IlluminatedMaterial:
 
 @functools.lru_cache(maxsize=64)
 def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
-    """R at equally spaced cosines from 0 to 1 and at 380, 381, … 780 nm, shape (angles, 401)."""
+    """Return R at equally spaced cosines from 0 to 1 and at 380, 381, … 780 nm, shape (angles, 401)."""
     cosines = np.linspace(0.0, 1.0, angles)[:, None]
     result = reflectance_at(material, colorimetry.VISIBLE_NM, cosines).astype(np.float32)
     result.setflags(write=False)
@@ -366,7 +369,10 @@ def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
 
 
 def check_reflection(ior: object, material: Any) -> tuple[float, Material | None]:
-    """Return R(0), to which reflectances are relative, and the material. R(0) is 1 if a material replaces ``ior``."""
+    """Return the reflectance R(0) to which results are relative, and the material or None.
+
+    R(0) is 1 for a material, and otherwise follows from the index of refraction ``ior``.
+    """
     if material is None:
         return normal_reflectance(1.5 if ior is None else ior), None
     validation.instance(material, Material, "material")
@@ -377,9 +383,10 @@ def check_reflection(ior: object, material: Any) -> tuple[float, Material | None
 def check_materials(
     ior: object, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
 ) -> tuple[float, dict[str, Material | None]]:
-    """Return R(0) and the materials by the name of their geometry; a single material has the name ``""``.
+    """Return R(0), and the materials by the name of the geometry of a mesh; a single material has the name ``""``.
 
-    With ``by_geometry`` a mapping from names to materials is accepted. Materials must cover the band of wavelengths.
+    With ``by_geometry`` the argument ``material`` may be a mapping from names to materials. Each material must be
+    tabulated over the band of wavelengths.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)
@@ -409,10 +416,11 @@ def _check_no_ior(ior: object) -> None:
 
 
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
-    """Transmittance 1 − R to a pigment below, in linear RGB, at equally spaced cosines from 0 to 1, shape (n, 3).
+    """Return the transmittance 1 − R of a surface above a pigment, in linear RGB, shape (n, 3).
 
-    Without a material R is Schlick's reflectance. Opaque materials transmit nothing. The transmittance of a film is
-    averaged over the spectral sensitivity of each of R, G and B under daylight.
+    The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material R is Schlick's
+    reflectance. Opaque materials transmit nothing. The transmittance of a film is averaged over the spectral
+    sensitivity of each of R, G and B under daylight.
     """
     cosines = np.linspace(0.0, 1.0, _TRANSMITTANCE_ANGLES)
     if material is None:

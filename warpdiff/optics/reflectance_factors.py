@@ -1,4 +1,4 @@
-"""Reflectance factors that do not depend on the height field, in NumPy float64.
+"""Factors of the reflectance that depend on directions, material and coherence, but not on the height field.
 
 Directions are unit vectors in the local frame, away from the surface: x along the tangent, z along the normal.
 """
@@ -61,7 +61,8 @@ def gain(
     cos_i, cos_r = to_light[:, 2], to_view[:, 2]
     above = (cos_i > HORIZON) & (cos_r > HORIZON)
     half = to_light + to_view
-    # 1 + ωi·ωr = |ωi + ωr|²/2 avoids cancellation. It is 0 only for opposite directions, one of which is below.
+    # 1 + ωi·ωr is computed as |ωi + ωr|²/2, because the direct formula would subtract nearly equal numbers. The sum is
+    # 0 only for opposite directions, one of which is below the horizon.
     overlap = np.sum(half * half, axis=1) / 2.0
     safe = np.where(above, overlap, 1.0)
     cos_d = np.sqrt(safe / 2.0)
@@ -79,7 +80,7 @@ def gain(
 def light_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """Ω(λ) [sr]: solid angle of a light whose coherence equals the window, the source or the periods.
+    """Return Ω(λ) [sr], the solid angle of a light whose coherence equals the window, the source or the periods.
 
     Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, it
     is λ²/(4πσ²). For a source of angular radius α = √2 s it is πα² = 2πs²; its window by van Cittert and Zernike has
@@ -106,7 +107,7 @@ def light_solid_angle(
 def pigment_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """G = Ω/π: factor from a Lambertian reflectance a, whose BRDF is a/π, to a relative reflectance.
+    """Return G = Ω/π, the factor from a Lambertian reflectance a, with the BRDF a/π, to a relative reflectance.
 
     It is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
     arguments are those of :func:`light_solid_angle`.
@@ -117,7 +118,7 @@ def pigment_solid_angle(
 def brdf_scale(
     cos_light: NDArray[np.float64], wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """1/(Ω cos θi): ratio of the absolute BRDF [1/sr] to R(0)·ρ, with ρ without masking (Stam 1999).
+    """Return 1/(Ω cos θi), the ratio of the absolute BRDF [1/sr] to R(0)·ρ, with ρ without masking (Stam 1999).
 
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
     times a factor. The factor is 4πσ²/λ² for Gaussian windows and A N1 N2/λ² for periods. For a source it is

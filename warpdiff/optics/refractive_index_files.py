@@ -1,7 +1,7 @@
 """Readers of refractive index files of refractiveindex.info, in YAML or CSV.
 
-Every row of a table counts: a row that is not a wavelength and its numbers is refused with its line, never dropped.
-Rows outside the wavelengths that a `warpdiff.Material` takes (100 to 10,000 nm) are cut off.
+No row of a table is ignored. A row that does not consist of a wavelength and its numbers raises an error with its line.
+Only rows beyond the wavelengths that a `warpdiff.Material` accepts, 100 to 10,000 nm, are removed.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     Lines = list[tuple[int, list[str]]]
 
-# Wavelengths that a material takes [µm], those of `warpdiff.optics.colorimetry`.
+# Shortest and longest wavelength that a material accepts [µm], from the limits in `warpdiff.optics.colorimetry`.
 _LEAST_UM, _MOST_UM = SHORTEST_NM / NM_PER_UM, LONGEST_NM / NM_PER_UM
-# Number of wavelengths at which a formula is tabulated, in equal ratios; linear in between. If halved, the index of
-# N-BK7 is wrong by up to 4e-5.
+# Number of wavelengths, with equal ratios, at which a formula is tabulated; the index is linear between them. If
+# halved, the index of the glass N-BK7 is wrong by up to 4e-5.
 _STEPS = 512
-# Constant of Herzberger's formula [µm²], from its definition.
+# Constant in Herzberger's formula for the index of refraction [µm²]. It is a part of the formula's definition.
 _HERZBERGER_UM2 = 0.028
 _BLOCK = re.compile(r"^\s*-\s*type:\s*(?P<type>[a-z0-9 ]+?)\s*$", re.MULTILINE)
 _TAGS = re.compile(r"<[^>]*>")
@@ -42,7 +42,7 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
     Raises:
         OSError: The file does not exist, or cannot be read.
-        ValueError: The file has no index of refraction that can be read, or a row that is none.
+        ValueError: The file has no index of refraction that can be read, or a row without a wavelength and its numbers.
     """
     text = read_text(file)
     try:
@@ -59,7 +59,7 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
 
 def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
-    """Wavelengths [µm] of the tables of n and k, within the range that both cover and that a material takes."""
+    """Return all wavelengths [µm] of the tables of n and k that both tables cover and that a material accepts."""
     if "n" not in tables:
         raise ValueError("the file has no index of refraction n")
     columns = [wavelengths for wavelengths, _ in tables.values()]
@@ -77,7 +77,7 @@ def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
 
 
 def _yaml(text: str) -> tuple[dict[str, Table], str]:
-    """Read the tables and formulas of a YAML file, which lists them by type, and its literature reference."""
+    """Return the tables of n and k in a YAML file, or computed from its formulas, and its literature reference."""
     blocks = list(_BLOCK.finditer(text))
     if not blocks:
         raise ValueError(
@@ -107,7 +107,10 @@ def _yaml(text: str) -> tuple[dict[str, Table], str]:
 
 
 def _data_lines(body: str, first_line: int) -> Lines:
-    """Lines of a YAML block's table with their numbers: all those below ``data:`` that are indented more than it."""
+    """Return the lines of the table in a block of a YAML file, split into words, with their line numbers.
+
+    They are the lines below ``data:`` that are indented more than it.
+    """
     lines: Lines = []
     indent = -1
     for number, line in enumerate(body.split("\n"), start=first_line):
@@ -124,7 +127,7 @@ def _data_lines(body: str, first_line: int) -> Lines:
 
 
 def _formula(number: str, body: str) -> Table:
-    """Tabulate a formula of refractiveindex.info; c holds its ``coefficients`` in their order."""
+    """Return a table of n from one of the formulas of refractiveindex.info, with the coefficients in the file."""
     if number not in _FORMULAS:
         raise ValueError(f"formula {number} is not supported: use a table, or formula 1 to 9")
     numbers = {}
@@ -159,12 +162,15 @@ def _range_text(counts: range) -> str:
 def _pair_sum(
     c: NDArray[np.float64], first: int, term: Callable[[float, float], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Sum a term over the pairs of coefficients from an index on; pairs whose first number is 0 contribute nothing."""
+    """Return the sum of ``term(a, b)`` over pairs (a, b) of consecutive coefficients, from the index ``first`` on.
+
+    Pairs with a = 0 contribute nothing.
+    """
     return np.asarray(sum(term(a, b) for a, b in zip(c[first::2], c[first + 1 :: 2], strict=True) if a != 0.0))
 
 
 def _retro(um: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return n from (n² − 1)/(n² + 2), the quantity of the formula of Lorentz and Lorenz."""
+    """Return n by the formula of Lorentz and Lorenz ("Retro"), which gives (n² − 1)/(n² + 2)."""
     share = c[0] + c[1] * um**2 / (um**2 - c[2]) + c[3] * um**2
     return np.asarray(np.sqrt((1.0 + 2.0 * share) / (1.0 - share)))
 
@@ -174,19 +180,20 @@ def _herzberger(um: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.f
     return np.asarray(c[0] + c[1] * inverse + c[2] * inverse**2 + c[3] * um**2 + c[4] * um**4 + c[5] * um**6)
 
 
-# Index of refraction by the number of its formula, at wavelengths [µm] and from coefficients, which are padded by zeros
-# to the largest of their legal counts. Definitions: "Dispersion formulas" of the refractiveindex.info database.
+# Functions that compute the index of refraction from wavelengths [µm] and coefficients, by the number of the formula;
+# and the permitted numbers of coefficients. Missing coefficients are 0. Definitions: "Dispersion formulas" of the
+# refractiveindex.info database.
 _FORMULAS: dict[str, tuple[Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]], range]] = {
-    # Sellmeier, with resonances in µm.
+    # Sellmeier formula; resonances are given as wavelengths [µm].
     "1": (
         lambda um, c: np.sqrt(1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b * um**2 / (um**2 - a**2))),
         range(1, 18),
     ),
-    # Sellmeier, with resonances in µm².
+    # Sellmeier formula; resonances are given as squared wavelengths [µm²].
     "2": (lambda um, c: np.sqrt(1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b * um**2 / (um**2 - a))), range(1, 18)),
-    # Polynomial.
+    # Polynomial in the wavelength, with any exponents.
     "3": (lambda um, c: np.sqrt(c[0] + _pair_sum(c, 1, lambda b, power: b * um**power)), range(1, 18)),
-    # The form of refractiveindex.info itself: two resonances and a polynomial.
+    # Formula of refractiveindex.info itself: two resonances and a polynomial.
     "4": (
         lambda um, c: np.sqrt(
             c[0]
@@ -195,13 +202,13 @@ _FORMULAS: dict[str, tuple[Callable[[NDArray[np.float64], NDArray[np.float64]], 
         ),
         range(1, 18),
     ),
-    # Cauchy.
+    # Cauchy's formula: a polynomial for n itself.
     "5": (lambda um, c: c[0] + _pair_sum(c, 1, lambda b, power: b * um**power), range(1, 12)),
-    # Gases.
+    # Formula for gases, with resonances in 1/µm².
     "6": (lambda um, c: 1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b / (a - um**-2.0)), range(1, 12)),
     "7": (_herzberger, range(1, 7)),
     "8": (_retro, range(1, 5)),
-    # Exotic.
+    # Formula that the database calls "Exotic", for materials that no other formula represents.
     "9": (
         lambda um, c: np.sqrt(c[0] + c[1] / (um**2 - c[2]) + c[3] * (um - c[4]) / ((um - c[4]) ** 2 + c[5])),
         range(6, 7),
@@ -231,7 +238,7 @@ def _csv(text: str) -> dict[str, Table]:
             continue
         if all(_number(cell) is None for cell in cells):
             finish()
-            # A unit in brackets may be a word of its own.
+            # Units in brackets are no names of columns. They are separate cells if a space precedes the bracket.
             names = [cell.lower() for cell in cells[1:] if not cell.startswith(("[", "("))]
             if not set(names) <= {"n", "k"} or not names:
                 raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r} in line {number}")
@@ -247,7 +254,10 @@ def _number(cell: str) -> float | None:
 
 
 def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
-    """Return lines of numbers, one for each column, as an array; refuse all others with the number of their line."""
+    """Return a table of numbers from lines of text, one number per column.
+
+    A line with other content raises an error that names the line.
+    """
     rows = []
     for line, cells in lines:
         numbers = [_number(cell) for cell in cells]
@@ -266,6 +276,6 @@ def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """Return a table sorted by wavelength; rows of the same wavelength count by their mean."""
+    """Return a table sorted by wavelength. Rows with equal wavelengths are replaced by one row with their mean."""
     wavelengths, place, count = np.unique(um, return_inverse=True, return_counts=True)
     return wavelengths, np.asarray(np.bincount(place, values) / count)

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 # Constant c₂ of Planck's law [nm K], from CIE 15.
 _SECOND_RADIATION_CONSTANT = 1.4388e7
-# Range of the CIE formula for phases of daylight [K].
+# Range of correlated colour temperatures for which the CIE formula for phases of daylight is valid [K].
 _DAYLIGHT_K = (4000.0, 25_000.0)
 
 
 def colour_science() -> Any:
-    """Import colour-science when it is first needed."""
+    """Return the package colour-science, which is imported at its first use only, because the import is slow."""
     with warnings.catch_warnings(), np.printoptions():
-        # At import, colour-science warns of absent optional packages, none of which this package uses, and sets NumPy's
-        # print options, which belong to the user.
+        # When it is imported, colour-science warns of absent optional packages, which warpdiff does not use, and
+        # changes NumPy's print options. Both are prevented here.
         warnings.simplefilter("ignore")
         import colour
 

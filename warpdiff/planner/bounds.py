@@ -1,7 +1,7 @@
 """Upper-bound plan: parameters that suffice for any surface and for all directions of a range.
 
-The bounds are conservative. Calls with few directions use the upper-bound plan itself. A search starts from it, and
-uses a finer upper-bound plan as the reference.
+The plan is conservative. Calls with few directions use it directly. For calls with many directions, a search for a
+cheaper plan starts from it, and measures errors against a finer upper-bound plan.
 """
 
 from __future__ import annotations
@@ -26,45 +26,47 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Permitted remainder of the series of one amplitude, as a share of the tolerance. Derived as the product of two factors
-# of 0.03. First, errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in
-# amplitude. Second, the amplitudes of orders may be 0.03 of that of the mirror reflection. If doubled, surfaces that
-# have only weak orders can exceed the tolerance.
+# Largest truncation error of an amplitude (of its series), as a share of the tolerance. Derived as the product of two
+# factors of 0.03. First, errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of
+# 0.03 in amplitude. Second, the amplitudes of orders may be 0.03 of that of the mirror reflection. If doubled, surfaces
+# that have only weak orders can exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Smallest Gaussian weight of a neighbour, as a share of the tolerance: if powers add (True), and if amplitudes add
-# (False). Derived for powers: the zeroth order has power 1. A call that does not contain its peak may be darker by a
-# factor of 1e-5, and its floor is 1e-3 of its luminance. Amplitudes require the square root, 1e-4, here with a margin
-# of 100. If doubled, tails of the zeroth order are missing in the darkest calls.
+# Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance. First entry: if powers add.
+# Derived: the zeroth order has power 1. The directions of a call that does not contain its peak may be darker by a
+# factor of 1e-5, and errors are relative to 1e-3 of their luminance. Second entry: if amplitudes add. Derived: the
+# square root of the first entry, 1e-4, divided by 100 as a margin. If doubled, tails of the zeroth order are missing in
+# the darkest calls.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Smallest Gaussian weight of a neighbour, as a share of the tolerance, for plans that no trial has validated. Derived:
-# the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
+# Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance, for plans that no trial has
+# validated. Derived: the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
-# Number of samples per unit of 1/λ [µm] for the colour-matching functions and the illuminant. Fitted for D65, FL11 and
-# HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the error under illuminants
-# with spectral lines exceeds its share of the tolerance.
+# Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require.
+# Fitted for D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the
+# error under illuminants with spectral lines exceeds its share of the tolerance.
 _COLOUR_BANDWIDTH_UM = 48.0
-# Number of samples per standard deviation of an order, which is a Gaussian over 1/λ, at a tolerance of 1. Fitted for
-# D65, FL11 and HP1 with Gaussians of 1/18 to 1/222 per µm; the number is 0.95 at a tolerance of 1e-2.
+# Number of wavelength samples per standard deviation of an order, whose light is a Gaussian over 1/λ. The number is for
+# a tolerance of 1 and increases for smaller tolerances, to 0.95 at 1e-2. Fitted for D65, FL11 and HP1 with standard
+# deviations of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.441
-# Number of samples per cycle of the interference between two height levels in the mirror direction, at a tolerance of
-# 1, in addition to those for the colours. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12; the number is 6 at a
-# tolerance of 1e-2.
+# Number of wavelength samples per cycle over 1/λ of the interference of two height levels in the mirror direction, in
+# addition to the samples for the colours. The number is for a tolerance of 1 and increases for smaller tolerances, to 6
+# at 1e-2. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12.
 _SAMPLES_PER_CYCLE = 2.785
-# Order of convergence of the integral over λ as the samples become denser. Derived: windows and sources are
-# interpolated by quintics through six samples, and the power of a replicated patch by cubics through four samples.
+# Orders p of convergence of the integral over λ: its error is proportional to n^−p for n samples. Derived: windows and
+# sources are interpolated by quintics through six samples, and the power of a replicated patch by cubics through four
+# samples.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
-# Typical error of an upper-bound plan, as a share of the tolerance; the same for the integral over λ and for excluded
-# neighbours. Fitted: 99th percentile of the errors of such plans. This number is only reported; no decision depends on
-# it.
+# Typical error of an upper-bound plan by the integral over λ, and by excluded neighbours, each as a share of the
+# tolerance. Fitted: 99th percentile of the errors of such plans. Plans report this number; no decision depends on it.
 _TYPICAL_SHARE = 0.05
-# Number of samples, at a tolerance of 1, of a replicated patch's power per order that passes over the visible range.
-# Fitted for random patches of fingers under illuminants from D65 to HP1; the number is 25 at a tolerance of 1e-2. If
-# halved, the error is 16 times as large.
+# Number of wavelength samples per order that passes a direction while λ runs over the visible range, for the power of a
+# replicated patch. The number is for a tolerance of 1 and increases for smaller tolerances, to 25 at 1e-2. Fitted for
+# random patches of fingers under illuminants from D65 to HP1. If halved, the error is 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
-# Limit: number of wavelengths of a colour. Time is proportional to it: at this limit, one direction requires seconds.
+# Largest number of wavelengths of a colour. Limit: time is proportional to it, and one direction requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Limit: number of wavelengths for a grazing source. Towards the horizon, the foreshortening of a source increases
-# without bound. This number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths for a source near the horizon, whose foreshortening, and with it the required number,
+# increases without bound. This number suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 
@@ -72,7 +74,8 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of the request."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # The bases ``"power"`` and ``"low-rank"`` are fitted to the Jacobi-Anger series.
+    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. Their number of terms is that of the
+    # Jacobi-Anger series to which they are fitted.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
@@ -104,12 +107,12 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan with so many neighbours that it suffices, without a trial, even for a very dark call."""
+    """Return the plan with neighbours of so small weights that it suffices, without a trial, for a very dark call."""
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
-    """Return the number of samples per unit of 1/λ that a direction requires, as a, b, c [µm] of a·rate + b·|w| + c.
+    """Return a, b and c [µm]: a direction requires a·rate + b·|w| + c wavelength samples per unit of 1/λ.
 
     ``rate`` is the order rate. The interference of two surface points x and x' has the phase 2π/λ times
     w(h − h') + (u, v)·(x − x'). The window weights it by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ,
@@ -118,7 +121,8 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     too many wavelengths.
     """
     if coherence.kind == "replicas":
-        # The power of one patch oscillates over 1/λ with at most |u|Lx + |v|Ly cycles per unit.
+        # Over 1/λ, the power of one patch oscillates with at most |u|Lx + |v|Ly cycles per unit of 1/λ. This is at most
+        # proportional to the order rate.
         per_order = _SAMPLES_PER_ORDER * tolerance ** (-1.0 / _CUBIC_ORDER)
         return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     quintic = tolerance ** (-1.0 / _QUINTIC_ORDER)
@@ -126,9 +130,10 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # For a source, samples have equal ratios of λ. The factor ``wider`` is the distance of these samples in 1/λ at 380
-    # nm, relative to equal steps of 1/λ; b and c need it. The bandwidth of orders does not need it: the coherence
-    # window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in ln λ.
+    # The wavelengths for a source have equal ratios instead of equal steps of 1/λ. Their largest step in 1/λ, at 380
+    # nm, is ``wider`` times the equal step, and b and c are multiplied by this factor. The number a is not: the
+    # coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in
+    # ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
@@ -136,12 +141,12 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with as many wavelengths as its bandwidth requires; a grazing source has a limited number."""
+    """Return the plan with the number of wavelengths that its bandwidth requires, limited for a grazing source."""
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        # The interference factor of the periods requires two samples per lobe.
+        # The interference factor of N periods has N lobes per order, and requires two samples per lobe.
         divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:

@@ -25,24 +25,24 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Limit: number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate in
-# turn and keeps the best result. Each repair takes twice as many steps as the previous one. A search then has fewer
-# than fifty trials.
+# Largest number of repairs of a plan whose error on the validation set is too large. A repair tries to refine each
+# coordinate and keeps the best result; the first one refines by one step, and each further one by twice as many. Limit:
+# a search has fewer than fifty trials.
 _REPAIRS = 3
-# Limit: number of octaves (factors of 2) by which a search coarsens a bandwidth. Upper bounds exceed the required
-# bandwidth by less.
+# Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
+# less than that.
 _OCTAVES = 3
-# Tolerance that defines the bandwidths that searches try: the upper bound for this tolerance, times whole powers of 2
-# to the power 1/SETS_PER_OCTAVE. All tolerances share these bandwidths; otherwise, a looser tolerance could cost
-# slightly more than a tighter one.
+# Tolerance of the upper bound from which the bandwidths follow that searches try: multiples of its bandwidth by powers
+# of 2, in steps of 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance
+# could give a slightly more expensive plan than a smaller one.
 _GRID_TOLERANCE = 1e-2
-# Limit: number of bright validation directions below which a search is more careful, because so few represent the
-# bright directions of a call badly. Fitted to random calls with few bright directions
+# Number of bright validation directions below which a search uses only a part of its error budget, because so few do
+# not represent the bright directions of a call well. Fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# Share of the remaining error budget that a search may use if fewer than MIN_BRIGHT validation directions are bright.
-# The predicted error of every search is at least this share of the tolerance. Fitted to random calls with few bright
-# directions.
+# The part of the remaining error budget that a search uses if fewer than MIN_BRIGHT validation directions are bright.
+# The predicted error of every search is also at least this share of the tolerance. Fitted to random calls with few
+# bright directions.
 _SHARE_BY_FEW = 0.1
 
 
@@ -53,7 +53,7 @@ class Coordinate:
     Attributes:
         source: Name of the plan's field that reports the error of this coordinate.
         budget: Largest permitted training error of a plan after this coordinate is coarsened.
-        most: Largest number of steps by which a search coarsens it.
+        most: Largest number of steps by which a search coarsens this coordinate.
         coarser: Function that returns a plan coarsened by a number of steps; a negative number refines it.
     """
 
@@ -86,8 +86,9 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         error = coarser_error
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # In some directions, powers cancel in float32. If only the validation set contains such directions, the error
-        # appears here for the first time; amplitudes do not cancel.
+        # In some directions, sums of powers lose their digits in float32, because large terms cancel. If only the
+        # validation set contains such directions, the error becomes visible only at the end of a search. A plan with
+        # amplitudes does not have it.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
     # The predicted error is divided among its sources in proportion to their measured errors.
     share = predicted_error(error, plan, trial) / sum(errors.values())
@@ -102,8 +103,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
     """Predict the error of a call from the validation error.
 
-    The prediction is a multiple of the validation error. The factor is larger if the validation set contains only a
-    part of the call's directions.
+    The prediction is the validation error times a factor. The factor is larger if the call has more directions than the
+    validation set.
     """
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
@@ -144,7 +145,7 @@ def _cost(plan: Plan, trial: Trial) -> float:
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with as many more terms as fill ``registers`` SIMD registers, at most those of its basis.
+    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all of its basis.
 
     A negative number removes terms.
     """
@@ -179,15 +180,16 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # In a few directions, nearly all light is the far tail of a bright order, and the training set may miss them.
-        # Neighbours with a weight of at least FLOOR times the tolerance are therefore never excluded.
+        # In a few directions, nearly all light belongs to the far tail of a bright order, and the training set may not
+        # contain such directions. The search therefore never excludes neighbours with a weight of at least FLOOR times
+        # the tolerance.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # All parts of the bandwidth are first coarsened together and then alone. If each part were coarsened alone at
-        # once, the first part could use the whole budget.
+        # The bandwidth has parts for the order rate, for |w| and for the colours. All parts are first coarsened
+        # together and then alone. In the reverse order, the first part could use the whole error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -208,21 +210,21 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # The smallest quadrature is reached. Further coarsening of the bandwidth changes only the recorded bandwidth
-        # and saves no time. Such steps are undone here, because a repair would otherwise spend its steps on undoing
-        # them.
+        # The plan has the smallest number of wavelengths. The last steps changed only the bandwidth that the plan
+        # records, and saved no time. They are undone here: otherwise a repair, which refines by steps, would first have
+        # to undo them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
 
 
 def _octave_steps(steps: int) -> float:
-    """Return the factor of a bandwidth for a number of steps; ``SETS_PER_OCTAVE`` steps are a factor of 2."""
+    """Return the factor by which a bandwidth changes in ``steps`` steps: 2 for ``SETS_PER_OCTAVE`` steps."""
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with its least weight and bandwidth rounded to values that searches for all tolerances share."""
+    """Return the plan with its least weight and bandwidth rounded to the values that all searches try."""
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
         return plan
@@ -234,7 +236,7 @@ def _on_grid(plan: Plan, trial: Trial) -> Plan:
 def _scaled(
     bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
 ) -> tuple[float, float, float]:
-    """Return a bandwidth with its part per order rate multiplied by one factor, and its other parts by another."""
+    """Return a bandwidth (a, b, c) as (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``)."""
     per_rate, per_w, constant = bandwidth_um
     return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
 
@@ -242,9 +244,9 @@ def _scaled(
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
     """Return the plan with another bandwidth and with the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
-    # The number of wavelengths of a grazing source is limited; its plan is therefore valid only up to a largest order
-    # rate. A smaller bandwidth requires fewer wavelengths per order rate, so that the plan becomes valid for larger
-    # order rates.
+    # The number of wavelengths of a grazing source is limited, so that its plan is valid only up to some order rate.
+    # With a smaller bandwidth, the same number of wavelengths suffices for larger order rates, and the plan is valid
+    # for them.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
@@ -256,16 +258,16 @@ def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, 
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with the reference's method, whose amplitudes do not cancel in float32 as powers do."""
+    """Return the plan with the reference's method: its amplitudes are accurate where powers cancel in float32."""
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
     """Refine a plan until its training error is at most half the target, or is as small as possible.
 
-    Return the plan and its training error. Two cases need refinement. Powers of coefficients that vanish like a high
-    power of κ cancel in float32; amplitudes do not. For very tall surfaces and for grazing sources, the limited number
-    of wavelengths of the upper-bound plan is too small.
+    Return the plan and its training error. An upper-bound plan is insufficient in two cases. First, powers of
+    coefficients that vanish like a high power of κ cancel in float32; amplitudes do not. Second, the number of
+    wavelengths of the upper-bound plan is limited, and too small for very tall surfaces and for grazing sources.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:
@@ -278,9 +280,9 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # With too few samples to resolve an order, twice as many samples may not reduce the error yet, so that the loop
-        # continues. With enough samples, doubling them halves the error at least; if it does not, the rest is the
-        # rounding error of float32.
+        # If there are too few samples to resolve an order (`needed`), twice as many may not reduce the error yet, and
+        # the loop continues. If there are enough, doubling them at least halves the error of the integral. An error
+        # that remains is then the rounding error of float32, and the loop ends.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

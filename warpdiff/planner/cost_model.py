@@ -28,20 +28,20 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
-# Costs of a sum over coefficients in addition to its products [multiply-adds]. The first is per wavelength or per
-# sample of the interference factor; the second is per basis term or neighbour. Fitted.
+# Costs of a sum over coefficients, in addition to the cost of multiplying rows [multiply-adds]. First number: per
+# wavelength, or per sample of the interference factor. Second number: per basis term or neighbour. Fitted.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
-# Cost per sample of a table's spectrum, or per spectral line of a source, in addition to its products [multiply-adds].
-# Fitted.
+# Cost per sample of the spectrum for a table, or per spectral line under a source, in addition to the cost of
+# multiplying rows [multiply-adds]. Fitted.
 _COST_OF_SAMPLE = 150.0
-# First number: cost of filtering and writing one number of a table row. Second number: cost of one multiply-add when
-# spectrum samples are projected to colours, which is low because that loop uses SIMD instructions only [multiply-adds].
+# Costs of computing a table from the spectrum [multiply-adds]. First number: filtering and writing one number of a row.
+# Second number: one product of the projection to colours, which is cheap because its loop uses SIMD instructions only.
 # Fitted.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """Return the number of wavelengths that one or several directions require, by their order rates and |w|."""
+    """Return the number of wavelengths that directions require, by their order rates and |w|."""
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
@@ -50,13 +50,13 @@ def sampling_multiply_adds(
     heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:  # fmt: skip
-    """Predict the multiply-adds per direction, as a mean over directions with the given order rates and |w|."""
+    """Predict the multiply-adds of a direction by sampled wavelengths, as a mean over order rates and |w|."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        # The sizes of quadratures have a constant ratio. On average, the next larger quadrature exceeds the required
-        # number of wavelengths by the square root of this ratio.
+        # Only certain numbers of wavelengths are available, with a constant ratio. On average, the next larger one
+        # exceeds the required number by the square root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
@@ -64,7 +64,8 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the neighbourhood has a radius that depends on the wavelength; 0.5 µm is a typical wavelength.
+        # For a source, the radius within which neighbours are summed depends on the wavelength; 0.5 µm is a typical
+        # one.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0
@@ -95,8 +96,8 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the spectrum has about one number per term, or two if amplitudes add. About as many functions of w are
-    # needed, and X, Y and Z are computed for each function.
+    # A row of the spectrum has about one number per term, or two if amplitudes add. A table needs about as many
+    # functions of w as a row has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

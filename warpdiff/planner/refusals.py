@@ -24,16 +24,17 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Limit: number of coefficients in the neighbourhood of a direction. A larger neighbourhood suggests a wrong unit, or a
-# patch that is much larger than its window.
+# Largest number of coefficients that contribute to a direction. A call with more of them is refused, because it
+# suggests a wrong unit, or a patch that is much larger than its window.
 _MOST_NEIGHBOURS = 40_000
-# Patch size that an error message recommends, in standard deviations σ of the window. Derived: at half of it, the
-# weight exp(−r²/4σ²) of an averaged window is 1e-11.
+# Size to which an error message recommends to crop a patch, in standard deviations σ of the window. Derived: points at
+# half this distance interfere with the weight exp(−r²/4σ²) = 1e-11 under an averaged window.
 _PATCH_IN_SIGMAS = 20.0
-# Limit: number of wavelengths times subdivisions for replicas; the memory of a quadrature is proportional to it.
+# Largest number of wavelengths times subdivisions for replicas. Limit: the memory of the quadrature is proportional to
+# it.
 _MOST_SAMPLES = 2_000_000
-# Limit: relative excess of a call's directions over the range of its plan without a warning. Ranges of coefficients are
-# rounded up by more than this.
+# Relative excess of the directions of a call over the range of an explicit plan up to which no warning is given.
+# Coefficients are computed for a range that is larger by more than this.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -44,7 +45,7 @@ _LESS_COHERENT = {
 
 
 def check_integration(request: Evaluation) -> None:
-    """Raise an error if a call requests a colour table for a spectrum."""
+    """Raise an error if a call for a spectrum requests ``integration="table"``, because tables contain colours only."""
     if not request.integrates and request.integration == "table":
         raise ArgumentValueError(
             f"{ref('integration')} must not be 'table' for a spectrum, which is not integrated over λ"
@@ -52,7 +53,7 @@ def check_integration(request: Evaluation) -> None:
 
 
 def check_size(heightfield: HeightField, plan: Plan) -> None:
-    """Raise an error if an upper-bound plan has more neighbours or wavelengths than are supported."""
+    """Raise an error if an upper-bound plan requires more neighbours or wavelengths than are supported."""
     if plan.method != "direct" and plan.coherence.kind != "replicas":
         _check_neighbours(heightfield, plan)
     if plan.wavelengths > bounds.MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
@@ -71,7 +72,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
-    """Raise an error if the neighbourhood of a direction has too many coefficients."""
+    """Raise an error if more than ``_MOST_NEIGHBOURS`` coefficients contribute to a direction."""
     rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
     if rows * columns <= _MOST_NEIGHBOURS:
         return
@@ -88,19 +89,21 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _longest_sigma_um(coherence: Coherence) -> float:
-    """Return σ of a window [µm], or of the equivalent window of a source at the longest wavelength."""
+    """Return σ [µm] of a window, or of the window that is equivalent to a source at the longest visible wavelength."""
     if coherence.sigma_um is not None:
         return coherence.sigma_um
     return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
-def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
-    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` is False."""
+def check_error(request: Evaluation, plan: Plan) -> None:
+    """Raise an error for a plan that cannot meet its tolerance, or warn if the request is not strict."""
+    heightfield = request.heightfield
     # Measured errors include a safety factor. A plan that exceeds its tolerance by less than this factor is accepted.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
-    lower = f"{fewer}, or use {ref('method', 'auto')} or {ref('method', 'direct')}"
+    other = "" if request.method == "auto" else f"{ref('method', 'auto')} or "
+    lower = f"{fewer}, or use {other}{ref('method', 'direct')}"
     height_range = f"for a height range of {heightfield.height_range_um:.3g} µm"
     rings = plan.rings_per_octave
     samples = f"{rings} rings per octave" if rings else f"{plan.wavelengths} wavelengths"
@@ -123,13 +126,13 @@ def check_error(heightfield: HeightField, plan: Plan, *, strict: bool) -> None:
         f"the {LABELS[plan.method]} cannot meet {ref('tolerance', plan.tolerance)}: {why}, an error of {error:.1e} "
         f"{how}{risk}; {remedy}, or a larger {ref('tolerance')}"
     )
-    if strict:
+    if request.strict:
         raise ToleranceError(f"{message}; {ref('strict', False)} computes it anyway")
     warn(message)
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """Return the error for a requested table if even the smallest sufficient size is too large."""
+    """Return the error for a call that requests a table, if even the smallest table that suffices is too large."""
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
         f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
@@ -138,13 +141,13 @@ def table_too_large(tolerance: float) -> ToleranceError:
 
 
 def warn_of_theory(plan: Plan) -> None:
-    """Warn of a surface on which scalar diffraction is invalid."""
+    """Warn that scalar diffraction is invalid on the surface of a plan, if its verdict says so."""
     if plan.theory.grade == "invalid":
         warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
 
 
 def warn_of_darkness() -> None:
-    """Warn of a call whose results are all 0."""
+    """Warn that all results of a call are 0, because no pair of its directions is above the horizon."""
     warn(
         f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
         "directions are vectors away from the surface, in its frame with z along the normal"
@@ -154,8 +157,8 @@ def warn_of_darkness() -> None:
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
     """Warn if the directions require frequencies beyond the Nyquist limit of the pitch.
 
-    Coefficients beyond the limit are aliases of those within it. The phases of a window with its centre between samples
-    are an exception. All neighbours of such a window must therefore be within the limit.
+    Fourier coefficients beyond the limit are copies (aliases) of those within it, up to a phase. This phase matters for
+    a window with its centre between samples: for such a window all neighbours must be within the limit, too.
     """
     pitch_um = diagnostics.coarsest_pitch_um(heightfield)
     if pitch_um == 0.0:
@@ -176,7 +179,7 @@ def warn_outside(
 ) -> None:
     """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit plan.
 
-    The order rate matters only for sums over wavelengths, and not for spectra.
+    With ``integrates``, the call computes colours by an integral over wavelengths, and its order rate is compared, too.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
@@ -186,11 +189,11 @@ def warn_outside(
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
-        # For windows, the order rate is |(u, v)|, which is compared already.
+        # For windows, the order rate need not be compared: it equals |(u, v)|, which is compared above.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
-        # A basis is fitted to a range of wavelengths. The smallest |w| is not compared, because renderers always report
-        # 0 for it.
+        # A fitted basis is valid for a range of |w|/λ only, so that 1/λ also has a lower limit. The smallest |w| is not
+        # compared, because renderers always report 0 for it.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"

@@ -48,16 +48,16 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Cost of the upper-bound plan divided by the cost of the plan from a search, by kind of coherence. Fitted: medians of
-# 32 random calls (docs/decisions/plans_and_tolerance.md).
+# Typical ratio of the cost of the upper-bound plan to the cost of the plan that a search finds, by kind of coherence.
+# Fitted: medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, as the number of directions that the plan from the search evaluates in the same time. Fitted to 32
-# random calls.
+# Time that a search requires, expressed as the number of directions that its plan evaluates in the same time. Fitted to
+# 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
-# Limit: smallest number of directions for which a trial measures the rounding error in float32 of an explicit method
-# that adds powers. For fewer directions, the second that a trial requires is too expensive.
+# Smallest number of directions for which a trial measures the rounding error in float32 of a method that adds powers
+# and that the caller selects. Limit: a trial requires about a second.
 _FEWEST_TRIED = 16
-# Assumed number of similar calls that use the same table: pictures are often rendered again with another light or view.
+# Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
 # If doubled, the planner prefers a table for about half as many directions.
 _EXPECTED_REPEATS = 3
 
@@ -97,9 +97,9 @@ def plan(
 def directions_of(
     request: Evaluation, to_light: ArrayLike | None = None, to_view: ArrayLike | None = None
 ) -> tuple[DirectionRange, DirectionSample, float]:
-    """Return the range of the directions, a sample of them, and their number.
+    """Return the range of the directions of a call, a sample of these directions, and their number.
 
-    An argument of None means the whole hemisphere. The number is then infinite: the plan is one for many directions.
+    None for ``to_light`` or ``to_view`` means all directions of the hemisphere. Their number then counts as infinite.
     """
     heightfield, coherence = request.heightfield, request.coherence
     hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
@@ -126,7 +126,7 @@ def directions_of(
 
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return known directions, selected or repeated, as many as a sample of the hemisphere has."""
+    """Return ``MOST_SAMPLED`` directions: a selection of the given ones, or all of them repeatedly."""
     checked, _ = validation.unit_directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
@@ -148,8 +148,9 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # The order rate of a grazing source is unbounded. The range therefore ends at the largest rate of the sampled
-    # directions. Directions with a larger rate are evaluated with the largest number of wavelengths of the plan.
+    # The order rate under a source has no upper limit near the horizon. The range therefore ends at the largest rate of
+    # the sampled directions. Directions with a larger rate are evaluated with the largest number of wavelengths of the
+    # plan.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
@@ -173,7 +174,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # The plan without measurements is computed only on demand, because it may require the fit of another basis.
+    # The upper-bound plan with all its terms is computed only if it is needed, because this may require the fit of a
+    # basis.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
@@ -181,30 +183,33 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
     else:
         result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
-        # With the largest permitted number of terms, the series is still too inaccurate. A trial cannot measure this
-        # error, because its reference uses the same series. The plan therefore reports a bound: that of the amplitudes,
-        # converted to an error of the result.
+        # Even with the largest permitted number of terms, the truncation error of the series is too large. A trial
+        # cannot measure this error, because its reference uses the same series. The plan therefore reports the upper
+        # bound of the error of amplitudes, converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
-    refusals.check_error(heightfield, result, strict=request.strict)
+    refusals.check_error(request, result)
     return replace(result, footprint=request.footprint)
 
 
 def _method(request: Evaluation) -> str:
-    """Return the method of the request; it is ``"low-rank"`` if only ``integration`` has an explicit value."""
+    """Return the method that the caller requests.
+
+    If only ``integration`` has an explicit value, ``"low-rank"`` replaces ``"auto"``.
+    """
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether the pixels of a request show means over footprints, computed by the mip levels of a table."""
+    """Whether the pixels of a call show means over footprints that look-ups in a table with mip levels compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
-    """Return the largest cost of a table that pays off for ``count`` directions [multiply-adds]; 0 for no table.
+    """Return the largest cost at which a table saves time for ``count`` directions [multiply-adds]; 0 for no table.
 
-    A table pays off if it costs less than the plan of a search costs for these directions. The result is infinite if
-    the caller requests a table and for footprints.
+    A table saves time if it costs less than the evaluation of the directions by the plan of a search. The result is
+    infinite if the caller requests a table or footprints.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
@@ -222,22 +227,23 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
-    """Whether a search saves more time than it requires, or is necessary because the upper bounds do not suffice."""
-    # For a grazing source, the number of wavelengths is limited, so that the upper-bound plan is no upper bound. It may
-    # even miss all orders.
+    """Whether a search saves more time than it requires, or is necessary because the upper-bound plan fails."""
+    # For a grazing source, the number of wavelengths of the upper-bound plan is limited. It may be so small that the
+    # plan misses orders.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
-    # Powers of coefficients that vanish towards κ = 0 cancel in float32. Only a trial measures this error.
+    # In a method that adds powers, coefficients that vanish towards κ = 0 may lose all digits in float32, because large
+    # terms cancel. Only a trial measures this error.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
         return count >= _FEWEST_TRIED
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan with its mean cost over the sampled directions, without any trial."""
+    """Return the upper-bound plan, completed without a trial, with its mean cost over the sampled directions."""
     if _method(request) == "auto":
-        # Without a trial, a method that adds amplitudes is used: powers may cancel in float32. Amplitudes do not cost
-        # more here.
+        # Without a trial, a method that adds amplitudes is selected, because sums of powers may lose their digits in
+        # float32. For so few directions, amplitudes do not cost more.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )
@@ -277,8 +283,8 @@ def _measured(
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
-        # With footprints, a table is accepted if it meets the tolerance without the safety factor. The alternative,
-        # several points per pixel instead of means over footprints, would have a larger error.
+        # With footprints, a table is accepted even if it meets the tolerance only without the safety factor. Without
+        # the table, pixels would be means over several points instead of over footprints, which has a larger error.
         if table is not None and (
             explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
@@ -289,7 +295,7 @@ def _measured(
 
 
 def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return a cheap plan for the largest tolerance, which only serves to find the bright directions."""
+    """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
     # Upper bounds are conservative; half of their wavelengths suffice to find bright directions.

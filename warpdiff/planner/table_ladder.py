@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# Expected error of the first table that a search tries, as a share of the tolerance. Fitted to the planning times of 32
-# calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and another one must be
-# computed.
+# Largest expected error of the table that a search tries first, as a share of the tolerance. Fitted to the planning
+# times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and another one
+# must be computed.
 _FIRST_SHARE = 0.35
-# A larger table counts as an improvement if its error is at most this share of the least error so far, and at most
-# twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the rings, the smallest
-# step of the table size, reduce the error to 0.6.
+# Largest ratio of the error of a table to the least error so far at which a search goes on to larger tables. The error
+# must also be at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the
+# rings, the smallest step of the table size, reduce the error to 0.6.
 _HELPS = 0.7
 
 
@@ -48,8 +48,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # Near the mirror direction, a table of a source is not used: those directions sum over wavelengths and
-        # neighbours.
+        # A table of a source excludes directions near the mirror direction. They are computed by sampled wavelengths,
+        # for which the plan needs the least weight of the reference.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -66,7 +66,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the first size is too large or too costly, a call that needs a table tries the next smaller one.
+            # If the caller requests a table and the first size is too large or too costly, the next smaller one is
+            # tried.
             size -= 1
             continue
         if best is None:
@@ -79,8 +80,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The number of terms is an estimate so far. When the first table fails, the error of sampled wavelengths
-            # with the same terms is measured; it indicates whether more terms are needed.
+            # The number of terms is only an estimate. When the first table fails, the same number of terms is tried
+            # with sampled wavelengths. If their error is too large as well, the terms cause it, and more terms are
+            # used.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -90,7 +92,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # More rings do not reduce the error, or no larger size exists. More functions of w may reduce it.
+            # If more rings do not reduce the error, or if no larger size exists, more functions of w may reduce it.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -98,9 +100,12 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
 
 def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
-    """Return the index of the first table size to try, or None; if a table is ``needed``, at least a middle size."""
-    # The expected errors are larger if diffraction orders are far apart, and if few validation directions are bright,
-    # because the validation set then misses bright directions.
+    """Return the index of the first table size to try; None if no size is expected to suffice.
+
+    If a table is ``needed``, the result is then a middle size instead of None.
+    """
+    # Errors are expected to be larger in two cases: if diffraction orders are far apart, and if few validation
+    # directions are bright, because the validation set then misses bright directions.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -147,7 +152,7 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 
 
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
-    """Return a plan with the fewest terms whose truncation error is within a budget, and that error.
+    """Return a plan with the fewest terms whose truncation error is at most ``budget``, and this error.
 
     A trial measures the error with ``LANES`` terms only. For other numbers of terms, this error is scaled by the
     truncation errors of the basis.

@@ -32,32 +32,33 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Ratio of the tolerance to the largest permitted error on a validation set. Fitted by bench.reproduce.tolerance_sweep:
-# in one call of a hundred, the error of all directions is larger than that of the validation set by more than this
-# factor.
+# Safety factor: the tolerance divided by the largest error on the validation set with which a plan is accepted. Fitted
+# by bench.reproduce.tolerance_sweep: in one call of a hundred, the error of all directions exceeds that of the
+# validation set by more than this factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidates that may be outliers, for calls with more directions than candidates. Fitted to a
-# call in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
+# Number of the brightest candidates that may be outliers, if the call has more directions than candidates. The floor of
+# relative errors is computed with and without them. Fitted to a call in which one of 6,312 directions, in the mirror
+# lobe, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance that counts as light, relative to that of a mirror. Limit: weaker light is invisible.
+# Least luminance that counts as light, as a share of the luminance of a mirror. Limit: weaker light is invisible.
 DARK = 1e-10
-# Share of the tolerance below which an error of the reference or of a basis is neglected. Limit: 1 % of the errors that
-# a trial must detect.
+# Share of the tolerance below which errors of the reference, or of a basis, are neglected. Limit: they must be small
+# compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
-# Method of the reference. It adds amplitudes, which keep their relative precision in float32 even for coefficients that
-# vanish like a high power of κ.
+# Method of the reference plan. It expands amplitudes, which are accurate in float32 even for coefficients that vanish
+# like a high power of κ; powers are not.
 REFERENCE_METHOD = "jacobi-anger"
-# Largest number of wavelengths of a spectrum in a trial. Limit: each wavelength costs as much as a direction.
+# Largest number of wavelengths of a spectrum that a trial evaluates. Limit: time is proportional to it.
 _SPECTRAL_SAMPLES = 64
 
 
 class Group:
-    """Directions on a device, their weights, and their reference values.
+    """Directions of a training or validation set on a device, with their weights and reference values.
 
     Attributes:
-        sample: Directions, and their weights in percentiles.
-        exact: Values of the directions by the reference plan, shape as of ``Trial.run``; None before ``Trial.exact``
-            computes them.
+        sample: The directions, and the weight of each direction in percentiles of the error.
+        exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
+            ``Trial.exact`` computes them.
         scale: Divisor of each direction's error: the larger of its value and the floor, shape (rows, n), one row per
             illuminant and floor.
         above: Whether a direction is brighter than the floor, shape (rows, n).
@@ -65,7 +66,8 @@ class Group:
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
         self.sample = sample
-        # In percentiles, each wavelength of a spectrum counts as a direction of its own.
+        # In a percentile of errors, each wavelength of a spectrum counts like a direction of its own, with the weight
+        # of its direction.
         self.weights = np.repeat(sample.weights, points)
         self.scattering_vectors = wp.array(sample.scattering_vectors, dtype=wp.vec3d, device=device)
         self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
@@ -78,19 +80,22 @@ class Group:
         return len(self.sample)
 
     def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
-        """Store the reference values, and the divisors of errors for floors of shape (illuminants, m)."""
+        """Store the reference values ``exact``, and compute the divisors of relative errors from the floors.
+
+        ``floors`` has the shape (illuminants, m): m floors per illuminant.
+        """
         self.exact, rows = exact, floors.reshape(-1, 1)
         self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the relative error of each direction, shape (rows, n), with the rows of ``scale``."""
+        """Return the relative errors of ``values``, shape (rows, n), by the divisors in the rows of ``scale``."""
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
 
 class Trial:
-    """Trial of plans on some directions of a call, against a reference.
+    """Trial of plans: evaluates them on some directions of a call, and measures their errors against a reference plan.
 
     Attributes:
         reference: Plan whose results count as exact: the upper-bound plan with twice the wavelengths.
@@ -137,7 +142,7 @@ class Trial:
         self._sees_all = len(candidates) == round(candidates.weights.sum())
         luminance = _luminance(self.run(coarse, self._candidates))
         self._find_floors(luminance)
-        # The luminance of a direction is that at the brightest wavelength of its spectrum.
+        # For a spectrum, the luminance of a direction is the largest value over its wavelengths.
         brightest = luminance[0].reshape(len(candidates), -1).max(axis=1)
         training, validation = validation_directions.sampled(
             candidates, is_edge_case, brightest, float(self._floors[0].min())
@@ -150,12 +155,12 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether light arrives in any of the directions."""
+        """Whether any of the candidates or training directions has a value above ``DARK``."""
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Number of bright validation directions: those above the highest floor, and those above the lowest floor.
+        """Number of validation directions that are brighter than the highest floor, and than the lowest floor.
 
         Both are infinite if the validation set has all directions of the call.
         """
@@ -172,7 +177,7 @@ class Trial:
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of each candidate, from which the cost of the call is predicted."""
+        """Order rate, |w| and weight of each candidate. The predicted cost of a call is a mean over these."""
         sample = self._candidates.sample
         return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
 
@@ -183,10 +188,11 @@ class Trial:
         return Group(sample, self._device, self._points)
 
     def _find_floors(self, luminance: NDArray[np.float64]) -> None:
-        """Compute the floors of each illuminant from luminances (illuminants, n) of the candidates.
+        """Compute the floors of relative errors for each illuminant from the luminances of the candidates.
 
-        If the candidates are only a part of the call's directions, the brightest ones may be outliers. There are then
-        two floors, one computed with them and one without, and the error relative to each must be small.
+        ``luminance`` has the shape (illuminants, n). If the candidates are only a part of the call's directions, the
+        brightest ones may be outliers. There are then two floors, one computed with them and one without, and the error
+        relative to each must be small.
         """
         order = np.argsort(luminance[0])
         subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
@@ -198,11 +204,11 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Give the reference twice the wavelengths of a plan, and discard the values of the previous reference."""
+        """Set the wavelengths of the reference plan to twice those of a plan, and discard its previous values."""
         if plan.coherence.adds_powers:
-            # The zeroth order has the power 1, and directions of a call may be much darker. The reference must
-            # therefore include neighbours so far away that the excluded tail of the zeroth order is negligible even in
-            # these directions.
+            # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
+            # therefore includes neighbours up to such distances that the truncated tail of the zeroth order is
+            # negligible even compared with these directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -211,7 +217,7 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Update the floors by luminances that ``plan`` computes; it is more accurate than the coarse plan."""
+        """Compute the floors of relative errors again, by a plan that is more accurate than the coarse plan."""
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
@@ -226,7 +232,7 @@ class Trial:
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
         """Return the values of a group by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
-        # Each thread evaluates two slices, so that all threads end at about the same time.
+        # The directions are divided into two slices per thread, so that all threads end at about the same time.
         slice_size = math.ceil(len(group) / self._threads / 2.0)
         if self._wavenumbers is not None:
             table = coefficient_table.table_for(
@@ -252,7 +258,7 @@ class Trial:
         return np.asarray(results, dtype=np.float64)
 
     def with_w_basis(self, plan: Plan) -> Plan:
-        """Return the plan with the number of functions of w that its table has."""
+        """Return the plan with its field ``w_basis_size`` set: the number of functions of w in its table."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
@@ -261,7 +267,7 @@ class Trial:
         return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
-        """Return the largest number of terms that the basis of a plan's method offers."""
+        """Return the number of all terms that exist for the method of a plan: the largest number that it may use."""
         if plan.method == self.reference.method:
             return self.reference.terms
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
@@ -275,20 +281,20 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the error of a plan on the training set, as :func:`worst_percentile` defines it."""
+        """Return the 99.5th percentile of a plan's errors on the training set, for bright or for dim directions."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
         """Return the worst percentile of a plan's errors on the validation set.
 
-        Directions with a larger order rate than the reference permits are excluded, unless all directions have such
-        rates.
+        Directions beyond the largest order rate of the reference plan are excluded, unless all directions are beyond
+        it.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # For a source near the horizon, the number of wavelengths is limited. Beyond the order rate that the reference
-        # resolves, its values are wrong.
+        # For a source near the horizon, the number of wavelengths of the reference plan is limited. Its values are
+        # wrong for directions with larger order rates than this number resolves.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -304,21 +310,25 @@ def reference_luminance(
 
 
 def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """Return the value below which a share of the total weight lies; 0 without values."""
+    """Return the value below which values with the share ``share`` of the total weight lie; 0 without values."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # Without this small margin, rounding errors in the sum of equal weights could select the next larger value.
+    # A small margin is subtracted from the share. Otherwise rounding errors in the sum of equal weights could select
+    # the next larger value.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 
 
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
-    """Return the 99.5th percentile of errors (rows, n): the larger one of those of bright and of dim directions."""
+    """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
+
+    ``errors`` has the shape (rows, n); the result is the largest one over all rows.
+    """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
-    # The tolerance applies to the 99th percentile over all directions of a call. The percentile of a small sample is
-    # less certain, so that a stricter one is used here.
+    # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample
+    # are less certain. The stricter 99.5th percentile is therefore used here.
     share = 0.5 * (1.0 + PERCENTILE)
     return max(
         _percentile(row[mask & included], group.weights[mask & included], share)
@@ -328,5 +338,5 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
 
 
 def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Y, the middle component of XYZ (..., 3), or ρ of shape (..., 1)."""
+    """Return Y of XYZ, shape (..., 3), or the reflectance ρ itself, shape (..., 1)."""
     return np.asarray(values[..., values.shape[-1] // 2])

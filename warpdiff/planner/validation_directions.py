@@ -26,25 +26,27 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# Number of uniform candidates, and number of training directions. Fitted: if both are halved, more than 1 % of the
-# calls exceed the tolerance; if both are doubled, planning requires twice the time.
+# First number: candidates that are selected uniformly among the directions of a call. Second number: training
+# directions. Fitted: if both are halved, more than 1 % of the calls exceed the tolerance; if both are doubled, planning
+# requires twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Limit: number of edge cases of each kind, and number of strong orders whose surroundings are edge cases. Directions
-# near one strong order are a kind of their own. All edge cases are at most a third of the candidates.
+# Number of edge cases of each kind. It is also the number of strong orders whose surroundings are edge cases; the
+# directions near one strong order are a kind of their own. Limit: all edge cases together are at most a third of the
+# candidates.
 _EDGE_CASES = 16
-# Expected number of edge cases in a set, relative to the number of uniform directions; the number of bright directions
-# equals that of uniform ones. About a ninth of a set is therefore drawn as edge cases. Some of the other directions are
-# edge cases, too.
+# Candidates are drawn into a set for three reasons: uniformly, because they are bright, or because they are edge cases.
+# This is the probability of the third reason relative to each of the others, so that about a ninth of a set is drawn as
+# edge cases. Some of the other directions are edge cases, too.
 _EDGE_CASE_SHARE = 0.25
 
 
 def candidates(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> tuple[DirectionSample, NDArray[np.bool_]]:
-    """Return the candidates, and a mask of the edge cases among them.
+    """Return the candidates for the training and validation sets, and a mask of the edge cases among them.
 
     Args:
         heightfield: Height field of the call.
@@ -67,7 +69,9 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """Draw a training set and a validation set from the candidates; the latter has all of them if they are few.
+    """Return a training set and a validation set, drawn from the candidates.
+
+    If the candidates are few, the validation set contains all of them.
 
     Args:
         candidates: Directions from which both sets are drawn.
@@ -85,8 +89,8 @@ def sampled(
     both = _TRAINING + _VALIDATION
     if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
-    # Directions are sorted by luminance, and every third one is available for training. Both sets therefore contain
-    # some of the brightest directions, even if few directions are bright.
+    # Candidates are sorted by luminance. Every third one may be drawn for training, and the others for validation. Both
+    # sets therefore contain some of the brightest directions, even if few directions are bright.
     is_training = np.arange(len(order)) % (both // _TRAINING) == 0
     training, validation = order[is_training], order[~is_training]
     return (
@@ -107,7 +111,8 @@ def _draw(
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # Directions with a probability above 1 are drawn exactly once. The probabilities of the others increase.
+    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the others
+    # increase accordingly.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
@@ -122,7 +127,7 @@ def _draw(
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Return the indices of edge cases: near a strong order, or with extreme angles, rates or geometry factors."""
+    """Return the indices of edge cases: directions near a strong order, or with extreme angles, rates or gains."""
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
@@ -136,7 +141,7 @@ def _edge_cases(
 def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """Return ln of the power that each of m strong orders, without the zeroth, may send to n directions, (n, m)."""
+    """Return the logarithm of the estimated power that each of m strong orders sends to n directions, (n, m)."""
     coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield, plan.method, plan.coherence, direction_range,
         coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
@@ -145,20 +150,22 @@ def _order_light(
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    # Directions near the zeroth order are another kind of edge case.
+    # The zeroth order is excluded here, because directions near it are edge cases by their small |(u, v)|.
     others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
-    # The variable foot is the visible wavenumber 1/λ at which the frequency (u, v)/λ of a direction is nearest to each
-    # order.
+    # As λ changes, the frequency (u, v)/λ of a direction moves along a line. `foot` is the visible wavenumber 1/λ at
+    # which it is nearest to an order, and `away` its squared distance there.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # Replicas have no window. An arbitrary falloff of 1 µm² replaces that of a window.
+    # The power of an order is multiplied by exp(−falloff · `away`), where `away` is the squared distance in frequency
+    # of a direction from the order. Replicas have no window, and get an arbitrary falloff of 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # For a centred window, the falloff is that of amplitudes. With the falloff of powers, the minima between orders
-        # would not be edge cases, although tables have their largest errors there.
+        # For a centred window, the falloff of amplitudes is used. With that of powers, which is twice as large,
+        # directions in the minima between orders would not be edge cases, although tables have their largest errors
+        # there.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from annotated_types import Gt
 
+from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.image.image import Image  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.plot.axes import FAINT, LINE_COLOURS, add_colour_bar, axes_for, map_size
@@ -57,6 +58,7 @@ def error_image(
                 f"{ref('tolerance')} is required for a picture from a file, got None: give the tolerance to mark"
             )
         tolerance = image.report.tolerance
+    tolerance = validation.positive(tolerance, "tolerance")
     rows, columns = image.mask.shape
     width, height = map_size(rows, columns)
     ax = axes_for(ax, width=1.25 * width + 2.0, height=1.25 * height + 0.9)

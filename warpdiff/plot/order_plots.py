@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge
 
 from warpdiff.core import validation
 from warpdiff.core.angles import signed_angles_deg
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.evaluate.orders import OrderEfficiencies
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
 from warpdiff.optics import colorimetry
 from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
@@ -32,9 +33,10 @@ _MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
 
+@checked
 def orders(
-    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None, count: int = 7,
-    title: str | None = None,
+    efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
+    count: Annotated[int, Ge(1)] = 7, title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the efficiencies of diffraction orders against the wavelength, the view angle or the incidence.
 
@@ -63,14 +65,6 @@ def orders(
         >>> axes.get_xlabel()
         'wavelength [nm]'
     """
-    if not isinstance(efficiencies, OrderEfficiencies):
-        raise ArgumentTypeError(
-            f"{ref('efficiencies')} must be the result of warpdiff.order_efficiencies, got "
-            f"{type(efficiencies).__name__}: call that function first"
-        )
-    count = validation.count(count, "count")
-    if against is not None:
-        validation.choice(against, "against", get_args(Against))
     has_lights = efficiencies.to_light.ndim > 1
     if against is None:
         against = "incidence" if has_lights else "wavelength" if len(efficiencies.wavelengths_nm) > 1 else "angle"
@@ -141,14 +135,17 @@ def spectra(
                 f"{ref('source')} must be the result of reflectance_spectra, or wavelengths with {ref('values')}, got "
                 f"{type(source).__name__} alone"
             )
-        wavelengths = colorimetry.check_wavelengths(source)
+        with renaming({"wavelengths_nm": "source"}):
+            wavelengths = colorimetry.check_wavelengths(source)
         rows = np.atleast_2d(validation.finite_array(values, "values"))
     if rows.ndim != 2 or rows.shape[1] != len(wavelengths):
         raise ArgumentValueError(
             f"{ref('values')} must have the shape ({len(wavelengths)},) or (n, {len(wavelengths)}), got {rows.shape}"
         )
-    if labels is not None and len(labels) != len(rows):
-        raise ArgumentValueError(f"{ref('labels')} must be {len(rows)} names, one per spectrum, got {len(labels)}")
+    if labels is not None and not (
+        validation.is_sequence(labels) and len(labels) == len(rows) and all(isinstance(label, str) for label in labels)
+    ):
+        raise ArgumentValueError(f"{ref('labels')} must be {len(rows)} strings, one per spectrum, got {labels!r:.60}")
     ax = axes_for(ax, width=6.4, height=4.0)
     order = np.argsort(wavelengths)
     for index, row in enumerate(rows):

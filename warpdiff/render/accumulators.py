@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-# Fields of ``Accumulators`` that a picture stores twice under several lights: for the present light, and added over all
-# lights.
+# Fields of :class:`Accumulators` that a picture with several lights stores twice: for the present light, and added over
+# all lights.
 _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 
@@ -18,8 +18,8 @@ class Accumulators:
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Share of each pixel that the mesh covers; all lights use the same array.
-        coverage_levels: Sum of the levels of the nine tiles from which the coverage was computed; empty if pixels show
-            points. All lights use the same array.
+        coverage_levels: Sum of the levels of the nine tiles (the pixel and its neighbours) from which the coverage was
+            computed; a sum of finer levels replaces it. Empty if pixels show points. All lights use the same array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
         edges: Whether an edge of the mesh or of a shadow passes through the pixel; all lights use the same array.
@@ -34,7 +34,7 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return sums for a number of pixels, set to zero. Arrays of errors and edges are empty without ``means``."""
+        """Return sums for a number of pixels, set to zero. Without ``means``, arrays of errors and edges are empty."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)
@@ -45,9 +45,9 @@ class Accumulators:
         )  # fmt: skip
 
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
-        """Return sums for a single light, with the coverage and edges of these sums.
+        """Return the sums for a single light. The arrays of coverage and edges are those of the sums over all lights.
 
-        The other arrays are those of ``previous``, or new ones if it is None.
+        The arrays of colours, illuminated pixels and errors are those of ``previous``, or new ones if it is None.
         """
         own = {
             name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)

@@ -16,13 +16,15 @@ if TYPE_CHECKING:
 
     from warpdiff.render.refinement import LightRefinement
 
-# Largest number of rays in the buffers. Limits: memory is proportional to it; with fewer rays, some threads of the GPU
-# have no work.
+# Largest number of rays whose cells are shaded in one launch. Limits: memory is proportional to it; with fewer rays,
+# some threads of the GPU have no work.
 _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor whose launches can be recorded. A launch does nothing if no tile is left.
+    """Tile executor on a GPU, whose launches can be recorded as a CUDA graph.
+
+    A recorded launch over a level without tiles has no effect.
 
     Attributes:
         floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
@@ -31,7 +33,7 @@ class DeviceTiles:
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate arrays for pictures of the size and kind of this light's. A recorded graph requires fixed arrays."""
+        """Allocate all arrays for pictures like that of ``light``. A recorded graph requires that they persist."""
         rays = light.light_pass.context.rays
         device = rays.options["device"]
 
@@ -48,7 +50,8 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # Later lights of the picture use the same buffers. They may be sampled lights, which require additional arrays.
+        # All lights of the picture use these buffers. A later light may be a sampled light, which requires additional
+        # arrays.
         kind = light.buffer_kind._replace(is_sampled=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
@@ -67,10 +70,10 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing. Only previews reuse the results of tiles, and pictures on a GPU have no previews."""
+        """Do nothing. Stored results of tiles are only useful for previews, which a GPU does not render."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the floor of errors from a histogram of luminances, without work on the host."""
+        """Begin a light: compute the floor of relative errors on the device, from a histogram of luminances."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]
@@ -78,15 +81,12 @@ class DeviceTiles:
         self._marked_count.zero_()
 
     def end(self, light: LightRefinement) -> None:
-        """Update :attr:`count` with the number of pixels that were subdivided under this light."""
+        """Finish a light: set :attr:`count` to the largest number of subdivided pixels under one light so far."""
         inputs = [self._marked_count, light.is_first]
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the whole picture as one group.
-
-        The tiles of the group are the marked pixels and the eight pixels around each.
-        """
+        """Yield the whole picture as one group. Its tiles are the marked pixels and the eight pixels around each."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
@@ -97,7 +97,10 @@ class DeviceTiles:
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the cells of all tiles of a level, in batches that fit the buffers. In a batch, −1 is no tile."""
+        """Shade the cells of all tiles of a level, in batches that fit the buffers.
+
+        The last batch is filled up with the tile index −1, for which kernels do nothing.
+        """
         calls = light.shade_cells(level, self._buffers, group.sums)
         tiles = self._buffers.tiles[level]
         self._tile_count.zero_()

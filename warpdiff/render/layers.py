@@ -44,9 +44,9 @@ def layers_of(
 def _distances(
     surface: Surface, view: View, face: NDArray[np.int32], place: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return distances from the camera to hits [mesh units].
+    """Return the distances from the camera to points on faces, in mesh units, shape (n,).
 
-    ``place`` has two barycentric coordinates of each hit, (n, 2).
+    ``place`` has the barycentric coordinates of each point for the first two corners of its face, shape (n, 2).
     """
     barycentric = np.column_stack([place, 1.0 - place.sum(axis=1)])
     corners = surface.vertices[surface.faces[face]].astype(np.float64)

@@ -43,11 +43,12 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Progress of a light [0 to 1] at which its colours with one ray per pixel are complete, and refinement begins. Fitted
-# to the time of a picture at a tolerance of 0.1.
+# Share of a light's progress [0 to 1] that is reported when one ray per pixel is complete and refinement begins. Fitted
+# to the times of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
-# time if there are many shadow rays. Fitted to the snake: 20 at a tolerance of 0.1, 59 at 0.03.
+# Expected number of shadow rays per hit in a refined picture, which decides whether occluder grids are made: they save
+# time if there are many shadow rays. Fitted to pictures of the snake mesh, which have 20 at a tolerance of 0.1, and 59
+# at 0.03.
 _SHADOW_RAYS_REFINED = 24
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
 # distribute work less evenly over threads; shorter ones require more launches.
@@ -100,8 +101,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # Only pictures of means under several lights have separate arrays for the sums of a single light: see
-        # ``set_lights``.
+        # A picture of means under several lights has separate sums for the present light. Other pictures add directly
+        # to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -128,10 +129,11 @@ class Picture:
     def set_lights(self, parts: Sequence[LightPart]) -> None:
         """Set the lights.
 
-        Their passes reuse the arrays of the previous passes, because a recorded graph reads these arrays.
+        The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
+        arrays.
         """
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
-        # Making a pass may raise an error about its light. The previous passes are then still in use.
+        # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
         passes = [part.make_pass(self.context) for part in parts]
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
@@ -139,22 +141,22 @@ class Picture:
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
-            # The arrays for the sums of a single light are allocated once, because a recorded CUDA graph refers to
+            # The arrays for a single light stay the same when lights change, because a recorded CUDA graph refers to
             # them.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Return the key of a recorded CUDA graph: everything that the launches depend on, except values in arrays."""
+        """Key of a recorded CUDA graph: everything that its launches depend on, except the values in arrays."""
         passes = tuple(light_pass.graph_key for light_pass in self._passes)
         return *passes, self.view.extent_y is None, self.context.casts_shadows
 
     def measure_directions(self, heightfield: HeightField) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the directions for which a plan is required: their range, a sample of them, and their number."""
+        """Return the directions for which a plan is required: their range, a sample of them, and how many there are."""
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Compute samples for every ray of a pixel and every lobe; yield the lobe and its share of the progress."""
+        """Sample every lobe at every ray of a pixel. After each, yield the lobe, and a callable for its progress."""
         lobes = list(self.sampler.lobes())
         count = self._samples_per_pixel * len(lobes)
         for sample in range(self._samples_per_pixel):
@@ -184,12 +186,13 @@ class Picture:
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
                 )
             return
-        # The host calls the callables of previews. A recorded graph runs without the host, and cannot stop for them.
+        # The callables of previews are called by the host between launches. A recorded graph is launched without the
+        # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
         least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
         if len(self._passes) > 1:
-            # Lights are refined one after the other, each to its final tolerance. For a preview, all lights are
-            # rendered at the preview's tolerance first.
+            # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
+            # so that they are all rendered at the tolerance of the preview first.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)
@@ -231,7 +234,7 @@ class Picture:
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
     def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
-        """Compute the colours of one ray per pixel under a light, before pixels are subdivided."""
+        """Compute the colours under a light with one ray per pixel. Refinement starts from these colours."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
         for at, lobe in enumerate(lobes):
@@ -242,7 +245,7 @@ class Picture:
             )  # fmt: skip
 
     def render_directly(self, heightfield: HeightField, plan: Plan, *, progress: Progress) -> None:
-        """Compute the picture by the direct sum, for all rays and lights."""
+        """Compute the picture by the direct sum, without tables: for every ray and every light."""
         for index, share in self._sampled(progress):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
             by_material = self._passes[index.light].illuminated[index.lobe]
@@ -260,7 +263,10 @@ class Picture:
 
     @property
     def xyz(self) -> wp.array:
-        """Colours, shape (height, width): the array of sums, or with a margin a copy of its inner part."""
+        """Colours of the picture, shape (height, width), without the margin.
+
+        The array is that of the sums if the picture has no margin, otherwise a copy of the inner part.
+        """
         colours = self._sums.xyz.reshape((self.rays.height, self.rays.width))
         if self.rays.size == self.view.width * self.view.height:
             return colours
@@ -270,7 +276,7 @@ class Picture:
         return self._shown_xyz
 
     def _cropped(self, values: wp.array | NDArray[Any]) -> NDArray[Any]:
-        """Return values of all pixels, from the device or the host, as an array without the margin."""
+        """Return the values of all pixels as an array on the host, without the margin."""
         values = values.numpy() if isinstance(values, wp.array) else values
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
@@ -293,8 +299,8 @@ class Picture:
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
-        # The number of subdivided pixels includes the margin, and pixels whose centre misses the mesh. It may therefore
-        # exceed the number of covered pixels.
+        # The number of subdivided pixels may exceed the number of covered pixels: it includes the margin, and pixels
+        # whose centre misses the mesh.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

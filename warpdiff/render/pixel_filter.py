@@ -34,29 +34,30 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Standard deviation of a cell's filter, relative to the cell spacing. Fitted (docs/decisions/adaptive_sampling.md):
-# with 0.5, errors on the snake are 1.1 to 2 times as large.
+# Standard deviation of the filter of a subpixel cell, relative to the distance of cells. Fitted
+# (docs/decisions/adaptive_sampling.md): with 0.5, errors in pictures of a snake mesh are 1.1 to 2 times as large.
 _CELL_SIGMA_PER_SPACING = 0.4
-# Least level of pixels at silhouettes of the mesh, 4 × 4 cells. Choice: each further level quadruples the time there.
+# Least level of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. Choice: one level more has four times as
+# many cells at silhouettes.
 SILHOUETTE_LEVEL = 2
-# Fewest and most rays that a thread shades in one launch. Limits: fewer rays spend more time on launches, more rays use
-# more memory.
+# Least and largest number of rays that a thread shades in one launch. Limits: with fewer rays, launches use a larger
+# share of the time; more rays require more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
-# Largest number of rays that are rasterized together. Limit: each ray takes eight bytes.
+# Largest number of rays whose faces are found in one rasterization. Limit: each ray requires eight bytes.
 _MOST_RASTERIZED = 1 << 24
 
 
 def level_of(samples: int, *, means: bool) -> int:
-    """Return the coarsest supported level with at least this number of cells per pixel."""
+    """Return the coarsest level that has at least ``samples`` cells per pixel."""
     least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
 
 def deviation_at(level: int, *, means: bool) -> float:
-    """Return the standard deviation of the filter of a ray [pixels].
+    """Return the standard deviation of the filter of a ray at a level [pixels].
 
-    Level 0 is a ray with the pixel filter, higher levels are cells. If pixels show points, rays have no filter, and the
-    result is 0.
+    Level 0 is one ray per pixel with the pixel filter. Higher levels are subpixel cells with narrower filters. Rays
+    have no filter if pixels show points, and the result is then 0.
     """
     if not means:
         return 0.0
@@ -72,7 +73,7 @@ def _cut_deviation() -> float:
 
 @functools.cache
 def places_at(level: int, device: str) -> wp.array:
-    """Return positions of a pixel's cells, (right, down) of its centre [pixels], as an array on the named device."""
+    """Return the positions of a pixel's cells relative to its centre, (right, down) [pixels], on a device."""
     across = 2**level
     places = (np.arange(across) + 0.5) / across - 0.5
     down, right = np.meshgrid(places, places, indexing="ij")
@@ -81,15 +82,16 @@ def places_at(level: int, device: str) -> wp.array:
 
 @functools.cache
 def weights_at(level: int, means: bool, device: str) -> wp.array:
-    """Return the weights, along one axis, of the cells of three pixels in a row for the middle pixel; their sum is 1.
+    """Return the weights with which the cells of three pixels in a row contribute to the middle pixel, along one axis.
 
-    Each cell has a narrow filter. The weighted sum of these filters is the pixel filter.
+    Each cell has a narrow filter. With these weights, the narrow filters add up to the wider pixel filter. The sum of
+    the weights is 1.
     """
     return wp.array(weights_of(level, means=means), dtype=wp.float32, device=device)
 
 
 def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
-    """Return the weights of cells along one axis, shape (3 · 2ⁿ,): see :func:`weights_at`."""
+    """Return the weights of :func:`weights_at` as a NumPy array, shape (3 · 2ⁿ,) for level n."""
     across = 2**level
     away = (np.arange(3 * across) + 0.5) / across - 1.5
     variance = FILTER_SIGMA**2 - deviation_at(level, means=means) ** 2
@@ -99,38 +101,38 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """Return factors that normalise the weights of cells, one row per level from 0 on, shape (n, 3).
+    """Return correction factors for the weights of cells, one row per level and one column per pixel of three in a row.
 
-    In each of three pixels in a row, the sum of the cells' weights differs from the share of the pixel filter there.
-    The factor is the ratio of this share to that sum. The array is on the named device.
+    The pixel filter has a certain share in each of the three pixels. The weights of the cells in a pixel add up to a
+    slightly different sum. The factor is the share divided by this sum.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # Level 0 has no cells. Its row of ones is not used, but the index of a row is then its level.
+    # Level 0 has no cells. Its unused row of ones makes the index of each row equal to its level.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Yield consecutive parts of a list of pixels; each part has at most ``_MOST_RASTERIZED`` cells."""
+    """Divide a list of pixels into consecutive parts that do not have more cells than one rasterization can process."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
 
 
 def slices(count: int, level: int, threads: int) -> Iterator[range]:
-    """Divide ``count`` pixels into ranges, each of which one thread shades in one launch."""
+    """Divide ``count`` pixels into ranges. One thread shades the cells of one range in one launch."""
     rays = rays_at(level)
     return slices_of(count, least=-(-_LEAST_RAYS // rays), most=MOST_RAYS // rays, threads=threads)
 
 
 def most_threads(pixels: int) -> int:
-    """Return the number of threads beyond which a thread would have fewer than ``_LEAST_RAYS`` rays."""
+    """Return the largest useful number of threads, with which each thread has enough rays for a launch."""
     return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
 def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.bool_]:
-    """Return a mask of pixels and the eight pixels around each, shape (height, width)."""
+    """Return a mask of the given pixels and the eight pixels around each, shape (height, width)."""
     wide = np.zeros((height + 2, width + 2), dtype=np.bool_)
     wide[pixels // width + 1, pixels % width + 1] = True
     rows = wide[:-2] | wide[1:-1] | wide[2:]
@@ -138,8 +140,8 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
 
 
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> structs.Cells:
-    """Return the struct ``Cells`` of the kernels for some pixels of a picture of this size."""
-    # In the bit mask, each row of pixels begins with a new 64-bit word.
+    """Return the struct ``Cells``, by which kernels find the cells of certain pixels of a picture."""
+    # The mask has one bit per pixel. Each row of the picture begins with a new word of 64 bits.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
     ranks = np.empty(width * height, dtype=np.int32)
@@ -153,7 +155,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the floor of relative errors, ``FLOOR`` times the luminance that 1 % of the illuminated pixels exceed."""
+    """Return the floor of relative errors: 1e-3 of the luminance that 1 % of the illuminated pixels exceed."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)
@@ -162,7 +164,7 @@ def floor_of(colours: wp.array, illuminated: wp.array) -> float:
 
 
 def contrasts(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return for each pixel the largest ‖ΔXYZ‖ to one of its four direct neighbours, shape (height, width)."""
+    """Return the largest ‖ΔXYZ‖ between each pixel and its four direct neighbours, shape (height, width)."""
     result = np.zeros(xyz.shape[:2], dtype=np.float32)
     for axis in range(2):
         steps, most = lengths(np.diff(xyz, axis=axis)), np.moveaxis(result, axis, 0)

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Limits of the rays whose directions are measured to choose a plan; time is proportional to them. If pixels show
-# points, at most ``_SAMPLES_MEASURED`` rays per pixel are measured. If pixels show means over footprints, about
-# ``_CELLS_MEASURED`` rays are measured in all, and at most ``_MOST_SAMPLES_MEASURED`` per pixel. These rays are spread
-# over the pixel, because cells have directions that pixel centres do not have.
+# Limits on the number of rays whose directions are measured to choose a plan; time is proportional to them. If pixels
+# show points, at most the first number of rays per pixel are measured. If pixels show means over footprints, about the
+# second number of rays are measured in total, and at most the third number per pixel. Their positions in the pixel
+# vary, because subpixel cells have directions that do not occur at pixel centres.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -60,9 +60,9 @@ class PixelSampler:
         self._lobe: LobeIndex | None = None
 
     def set_lights(self, passes: Sequence[LightPass]) -> None:
-        """Set the passes of the lights. Hits of rays remain valid.
+        """Set the passes of the lights.
 
-        Samples are discarded, as they belong to previous lights.
+        Hits of rays remain valid. Samples are discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
         if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
@@ -73,15 +73,15 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield the lobes whose directions are measured for the plan. If pixels show points, these are all lobes."""
+        """Yield all lobes whose directions are measured to choose a plan."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
 
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
-        """Return the rays of all pixels as a batch whose colours are added to ``sums``.
+        """Return the rays of all pixels as a batch, whose colours are added to ``sums``.
 
-        ``deviation`` is the standard deviation of the pixel filter, in pixels.
+        ``deviation`` is the standard deviation of the pixel filter [pixels].
         """
         unserved_gain = self._no_gains if unserved_gain is None else unserved_gain
         return RayBatch(
@@ -90,7 +90,7 @@ class PixelSampler:
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
-        """Trace the ray of sample number ``sample`` for every pixel."""
+        """Trace one ray per pixel, the one with the index ``sample`` among the rays of a pixel."""
         self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
         self._sample = sample
 
@@ -101,10 +101,10 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Compute the samples of a lobe for one ray of every pixel, and add the light of the pigment.
+        """Sample a lobe at the hits of one ray per pixel, and add the light of the pigment to the sums.
 
-        ``sample`` is the number of the ray among the rays of a pixel. Rays are traced first unless the hits are already
-        those of this ray. The method does nothing if the previous call had the same ray and lobe.
+        ``sample`` is the index of the ray among the rays of a pixel. If the hits belong to another ray, the ray is
+        traced first. If the previous call had the same ray and lobe, the method does nothing.
         """
         if (self._sample, self._lobe) == (sample, index):
             return
@@ -112,15 +112,16 @@ class PixelSampler:
         count = samples_per_pixel or self._samples_per_pixel
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
-            # The number of hits must be known first: with many shadow rays, grids of occluders save time.
+            # The rays are traced before shadow rays are prepared, because the preparation depends on the number of
+            # hits: with many shadow rays, occluder grids save time.
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
         is_first_lobe = index.lobe == light_pass.first_lobes.start
         is_first = index.light == 0 and is_first_lobe
         begins = is_first and sample == 0
-        # If pixels show means, the sum of colours is set to 0 for each light. Hits are counted under the first light
-        # only.
+        # If pixels show means, each light begins with a sum of colours of 0. Hits are counted only under the first
+        # light, because they are the same under all lights.
         counting = Counting(
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
@@ -129,21 +130,22 @@ class PixelSampler:
         self._sample, self._lobe = sample, index
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Return scattering vectors, directions to the light and geometry factors of the last lobe."""
+        """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel."""
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
 
     def measure_directions(
         self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
     ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the illuminated directions, for which a plan is made: their range, a sample of them, and their number.
+        """Return the illuminated directions for which a plan is made: their range, a sample of them, and their number.
 
-        Rays are traced separately for this. Measuring takes about 1 % of the time of the colours.
+        Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
+        are computed.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())
-        # Pixels that show points are measured with some of their rays. For pixels that show means, several rays per
-        # pixel represent the subpixel cells.
+        # If pixels show points, only some of their rays are measured. If pixels show means, several rays per pixel
+        # represent the directions of subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -151,8 +153,8 @@ class PixelSampler:
             per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
         for sample in range(measured):
             for index in lobes:
-                # If pixels show means, the first ray passes through the pixel centre. The rays of level 0 in the
-                # picture do the same.
+                # If pixels show means, the first measured ray passes through the pixel centre, like the ray of level 0
+                # in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 scattering_vectors, to_lights, gains = self.directions()
                 within = within.joined(

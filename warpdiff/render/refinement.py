@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import ColourLookup
 
-# Number of pixels per slice of a launch on the CPU. Fitted: the overhead of launches is then 1 % of the kernels' time.
+# Number of pixels per slice of a launch on the CPU. Fitted: launches then add 1 % to the time of the kernels.
 SLICE = 32_768
 
 
@@ -74,7 +74,9 @@ class RefinementPolicy:
 
 @dataclass(frozen=True)
 class LightRefinement:
-    """Inputs of the refinement under one light, starting from colours by one ray per pixel; makes the kernel calls.
+    """Inputs for refining the pixels under one light. The methods make the kernel calls.
+
+    Refinement starts from colours that were computed by one ray per pixel.
 
     Attributes:
         light_pass: Pass that samples the light and looks up its colours.
@@ -94,7 +96,7 @@ class LightRefinement:
 
     @property
     def buffer_kind(self) -> BufferKind:
-        """Flags for the optional arrays of tile buffers that this light requires."""
+        """Flags that say which optional arrays of tile buffers this light requires."""
         context = self.light_pass.context
         return BufferKind(
             self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.is_sampled
@@ -102,12 +104,12 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays that the kernel ``resolve_pixels`` overwrites."""
+        """Arrays of the sums that are overwritten when pixels get the weighted sums over their cells."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that estimates errors of pixels with one ray, and marks pixels for subdivision."""
+        """Return the kernel call that estimates errors from one ray per pixel, and marks pixels for subdivision."""
         rays, policy = self.light_pass.context.rays, self.policy
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
@@ -117,7 +119,10 @@ class LightRefinement:
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
-        """Return kernel calls that trace and shade the cells in the buffers, and add them to sums for nine pixels."""
+        """Return the kernel calls that trace and shade the cells in the buffers.
+
+        They also add each cell to the weighted sums of nine pixels: its own and the eight pixels around it.
+        """
         rays, batch = self.light_pass.context.rays, buffers.batch(level)
         device = rays.options["device"].alias
         sampling = Sampling()
@@ -134,9 +139,9 @@ class LightRefinement:
         return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
-        """Return the kernel call that sets pixels to weighted sums over cells.
+        """Return the kernel call that replaces the colours of pixels by weighted sums over cells.
 
-        The cells are those of the pixel's own tile and of the eight tiles around it.
+        The sums include the cells of the pixel itself and of the eight pixels around it.
         """
         rays = self.light_pass.context.rays
         inputs = [
@@ -146,7 +151,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that decides whether tiles at ``level`` are refined further, and to which level."""
+        """Return the kernel call that decides which tiles at ``level`` are refined further, and to which level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -158,7 +163,7 @@ class LightRefinement:
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> subdivision.FilteredSums:
-        """Return the struct ``FilteredSums`` of the kernels for a number of tiles, without values yet."""
+        """Return the struct ``FilteredSums``, in which kernels add up cells, with uninitialised arrays."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
@@ -208,24 +213,24 @@ class TileExecutor(Protocol):
         """Number of pixels that were subdivided under one light; under several lights, the largest of these numbers."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete the stored results of tiles. With ``keep``, results are stored from now on.
+        """Delete the stored results of tiles. If ``keep`` is True, store results from now on.
 
-        The results at a preview's tolerance are reused at the next, finer tolerance.
+        Results at the tolerance of a preview are reused at the next, smaller tolerance.
         """
 
     def begin(self, light: LightRefinement) -> None:
         """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield groups of the marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
+        """Yield groups of marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
-        """Shade the cells of those tiles of a group that have this level, and add them to the sums of the group."""
+        """Shade the cells of the tiles of a group whose level is ``level``, and add them to the sums of the group."""
 
     def launch(self, call: KernelCall, elements: wp.array) -> None:
-        """Launch a kernel call over ``elements``, which are pixels or tiles of a group.
+        """Launch a kernel call over ``elements``: pixels or tiles of a group.
 
-        A GPU uses all pixels of the picture.
+        A GPU launches it over all pixels of the picture instead.
         """
 
     def end(self, light: LightRefinement) -> None:
@@ -246,11 +251,11 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade the base level, select the level of each tile, and shade those levels.
+        """Refine a light: shade the base level of all tiles, select the level of each tile, and shade these levels.
 
-        The light is first refined to the larger tolerance of each preview, and then the preview's callable is called.
-        Previews do not change the final picture, because each refinement begins again from one ray per pixel. Cells
-        that were shaded for an earlier tolerance are reused.
+        With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
+        called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.
+        Cells that were shaded for an earlier tolerance are reused.
         """
         unrefined = [array.numpy().copy() for array in light._resolved] if previews else []
         tolerances = [*(tolerance for tolerance, _ in previews), light.policy.tolerance]
@@ -276,9 +281,9 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.is_sampled:
-                    # The pixels are resolved before levels are selected, because errors are relative to the filtered
-                    # colour of a pixel. The unfiltered colour of a dark pixel next to a bright one is too small, and
-                    # the pixel would get too many cells.
+                    # Errors are relative to the filtered colours of pixels, which are therefore computed before levels
+                    # are selected. The unfiltered colour of a dark pixel next to a bright one is too small, and the
+                    # pixel would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

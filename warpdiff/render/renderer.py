@@ -115,7 +115,7 @@ class Renderer:
         return result
 
     def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Make the plan, the tables and the picture. If ``lookup`` is given, it has the tables of this plan."""
+        """Choose the plan, and make the tables and the picture. Tables that exist already are passed as ``lookup``."""
         evaluation = inputs.evaluation
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
@@ -168,7 +168,8 @@ class Renderer:
     def __getstate__(self) -> dict[str, Any]:
         """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
-        # The default number of threads is not stored: it is the number of cores, which may differ on another machine.
+        # If the number of threads is the default, the number of cores, it is not stored, because another machine may
+        # have another number of cores.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
@@ -224,10 +225,10 @@ class Renderer:
                 )
         with self._turn, picture_memory(mine.view):
             mine.is_drawn = False
-            # These checks may raise an error about the lights. The previous lights and view are then still in use.
+            # If a light is not accepted, an error is raised here, and the previous lights and view stay in use.
             mine.picture.set_lights(parts)
             mine.parts = parts
-            # Hits of rays depend on the view only, and remain valid until it changes.
+            # A new view discards the hits of camera rays. New lights do not, because hits depend only on the view.
             if view is not None:
                 mine.view = view
                 mine.picture.set_view(view)
@@ -266,12 +267,15 @@ class Renderer:
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
     def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
-        """Check previews. Return their tolerances, the largest first, each with a function that reports the preview."""
+        """Check the previews, and return their tolerances in descending order, each with a function without arguments.
+
+        The function marks the picture as complete at this tolerance while it calls the callable of the preview.
+        """
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
                 f"{ref('previews')} must be a mapping from tolerances to callables, got {type(previews).__name__}"
             )
-        # The mapping is copied, because a callable may change the mapping during the picture.
+        # The mapping of previews is copied, because its callables may change it while the picture is drawn.
         callables = dict(previews or {})
 
         def show(tolerance: float) -> None:
@@ -305,7 +309,7 @@ class Renderer:
         mine.picture.render(self._lookup, tolerance=self.plan.tolerance, progress=progress, previews=previews)
 
     def _replay(self, mine: _ThreadPicture) -> None:
-        """Replay the recorded graph of a picture if it is still valid; otherwise draw once and record a new graph."""
+        """Replay the recorded graph of a picture, if it is still valid. Otherwise draw once, and record a new graph."""
         needed = mine.picture.graph_key
         if mine.graph is not None and mine.graph_is_for == needed:
             wp.capture_launch(mine.graph)
@@ -323,7 +327,7 @@ class Renderer:
 
 
 def _unpickled(state: dict[str, Any]) -> Renderer:
-    """Return a renderer from a pickled state."""
+    """Return a renderer from its pickled inputs."""
     inputs = PictureInputs.of(state["heightfield"], state["lights"], state["view"], state["settings"])
     return Renderer._from_parts(inputs, state["surface"], state["view"])
 
@@ -351,5 +355,8 @@ class _ThreadPicture(threading.local):
 
 
 def records(device: wp.Device) -> bool:
-    """Return whether a device can record a picture: recorded loops over tiles require CUDA 12.4."""
+    """Return whether a device can record pictures as CUDA graphs.
+
+    Recorded loops over tiles require a driver of CUDA 12.4 or later.
+    """
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

@@ -112,7 +112,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     if all(part.has_lobes for part in inputs.parts):
         direction_range, sample, count = picture.measure_directions(evaluation.heightfield)
     else:
-        # Under a sky, a plan must cover light from the whole hemisphere.
+        # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
         direction_range, sample, count = directions_of(evaluation)
     if evaluation.plan is not None:
         warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
@@ -134,7 +134,7 @@ def with_history(image: Image, heightfield: HeightField) -> Image:
     return replace(image, report=replace(image.report, history=heightfield.history))
 
 
-# Largest memory per pixel that a picture of any kind requires while it is computed [bytes]. Fitted to measurements.
+# Largest memory per pixel that any kind of picture requires during its computation [bytes]. Fitted to measurements.
 _BYTES_PER_PIXEL = 210
 
 
@@ -173,15 +173,17 @@ class PictureInputs:
             )
         check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for these spectra. The three smooth spectra of a sky require no trial.
+        # The planner tries tables for the spectra of lobes. If only a sky illuminates, one of its three smooth spectra
+        # suffices.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
 
     def picture(self, surface: Surface, view: View, **options: Any) -> Picture:
-        """Return a picture of a surface, with its arrays allocated."""
+        """Return a picture of a surface, whose arrays are allocated but not yet computed."""
         footprint, settings = self.evaluation.footprint, self.settings
-        # The filter of a pixel at the edge of the picture extends to cells of pixels beyond the edge.
+        # Filters of pixels at the picture's border include cells of pixels beyond the border. These pixels form a
+        # margin.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
         energy, size_um = self.evaluation.energy_factors, self.evaluation.heightfield.size_um
         optics = SurfaceOptics(
@@ -211,16 +213,17 @@ class PictureInputs:
         return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """Return the user's plan, or a plan for these directions. Lights with an extent require a plan with a table.
+        """Return the user's plan, or choose a plan for the measured directions.
 
-        If no table meets the tolerance for lobes with an extent, the plan has the best table. Skies, and lights under
-        which all directions of the sample are dark, get the smallest table that is expected to suffice.
+        Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
+        plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
+        which all measured directions are dark.
         """
         evaluation = self.evaluation
         request = evaluation
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
-            # No table is tried for skies: they average over many directions, so that errors in single directions have
-            # no effect.
+            # The planner tries no table for skies: a sky averages over many directions, so that errors in single
+            # directions have no effect.
             request = replace(evaluation, integration="sampled", footprint=False)
         plan = evaluation.plan or plan_for(request, direction_range, sample, count)
         if not plan.uses_footprints and any(part.has_extent for part in self.parts):
@@ -236,7 +239,10 @@ class PictureInputs:
         return evaluation.with_energy(plan)
 
     def refined(self, *, refine: bool) -> PictureInputs:
-        """Return these inputs with or without refinement. Discs from 1.5° to 5° are lobes only without refinement."""
+        """Return these inputs with or without refinement.
+
+        Disc lights of 1.5° to 5° change with it: they are approximated by one lobe only without refinement.
+        """
         settings = replace(self.settings, refine=refine)
         return replace(self, settings=settings, parts=parts_of(self.lights, self.evaluation, refine=refine))
 
@@ -260,7 +266,7 @@ def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
 
 
 def warn_unconverged(image: Image) -> None:
-    """Warn if a picture does not meet its tolerance."""
+    """Warn if too many pixels of a picture are expected to exceed its tolerance."""
     report = image.report
     if report is not None and not report.is_converged:
         warn(
@@ -272,7 +278,10 @@ def warn_unconverged(image: Image) -> None:
 
 
 def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means: bool) -> None:
-    """Raise an error if lights have an extent, and the coherence is of kind "source" or excludes footprints."""
+    """Raise an error if lights have an angular extent that the coherence or the settings exclude.
+
+    A coherence of the kind ``"source"`` has its own angular diameter. Other lights with an extent require footprints.
+    """
     if not any(part.has_extent for part in parts):
         return
     if coherence.kind == "source":

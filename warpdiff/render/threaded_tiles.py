@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Largest number of pixels that are subdivided together. Limit: memory, about 200 bytes for each of their tiles.
+# Largest number of pixels that are subdivided together. Limit: each of their tiles requires about 200 bytes.
 _MOST_PIXELS = 1 << 17
 
 
@@ -43,25 +43,26 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return the arrays of ``sums`` that shading the tiles of one level fills."""
+        """Return the arrays of sums over cells into which kernels write when the tiles of a level are shaded."""
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
 class _ShadedTiles:
-    """Cache of the sums over the cells of tiles.
+    """Cache of tiles that are already shaded: for each level, sums over the cells of the tiles.
 
-    They do not depend on the tolerance, and are reused for finer tolerances.
+    The sums do not depend on the tolerance of a picture, and are reused when the same picture is refined to a smaller
+    tolerance.
     """
 
     def __init__(self) -> None:
-        # For each level: indices of the tiles that were shaded, and copies of their sums.
+        # Dictionary from the level to the indices of the shaded tiles, and copies of the sums over their cells.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy cached sums of tiles at a level into the group. Return a mask of the tiles that are not in the cache."""
+        """Copy cached sums of tiles into the arrays of a group. Return a mask of the tiles that are not cached."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -75,13 +76,13 @@ class _ShadedTiles:
         return ~is_known
 
     def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
-        """Store copies of the sums over the cells of a group's tiles at a level."""
+        """Store copies of the sums over the cells of some tiles at a level."""
         ranks = group.ranks[tiles]
         self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 
 
 class ThreadedTiles:
-    """Tile executor on the CPU, where the host lists the tiles.
+    """Tile executor on the CPU: the host lists the tiles of each level.
 
     Attributes:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
@@ -96,7 +97,7 @@ class ThreadedTiles:
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Buffers are kept for later pictures, because allocating them takes as long as thousands of look-ups.
+        # Buffers are reused for later pictures, because allocating them requires as much time as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 
@@ -104,14 +105,14 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete the stored results of tiles. With ``keep``, results are stored from now on.
+        """Delete the stored results of tiles. If ``keep`` is True, store results from now on.
 
-        The results at a preview's tolerance are reused at the next, finer tolerance.
+        Results at the tolerance of a preview are reused at the next, smaller tolerance.
         """
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin the refinement of a light: compute the floor of relative errors from an exact percentile."""
+        """Begin a light: compute the floor of relative errors on the host, from the exact percentile of luminances."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -126,14 +127,14 @@ class ThreadedTiles:
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups of at most ``_MOST_PIXELS``, with their tiles."""
+        """Yield the marked pixels in groups of limited size, each with the tiles that it requires."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):
             return
         if len(pixels) > _MOST_PIXELS:
-            # With several groups, the results of tiles are not cached: the results of a group depend on the colours
-            # that the group before it has changed, and thus on the tolerance.
+            # If there are several groups, results of tiles are not stored for smaller tolerances. The results of a
+            # group depend on colours that the previous group has changed, and thus on the tolerance.
             self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))
@@ -143,8 +144,8 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # A pixel that is not marked becomes ``SHARED`` if its own and all eight adjacent pixels are tiles of marked
-        # pixels.
+        # A pixel that is not marked can still be computed from cells, if the pixel itself and its eight neighbours are
+        # tiles of marked pixels. It gets the mark ``SHARED``.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = subdivision.SHARED
@@ -162,7 +163,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of those tiles of a group that have this level, and add them to the sums of the group."""
+        """Shade the cells of the tiles of a group whose level is ``level``, and add them to the sums of the group."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

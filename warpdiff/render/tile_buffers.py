@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 class BufferKind(NamedTuple):
-    """Flags for the optional arrays of tile buffers.
+    """Flags that say which optional arrays tile buffers have.
 
-    In this order the arrays are: gains of directions that a table cannot serve, base colours, gains at faces of one of
-    several materials, and gains for each spectrum of a sky.
+    In the order of the flags, the arrays are: gains of directions that a table cannot serve, base colours, gains at
+    faces of one of several materials, and gains for each spectrum of a sky.
     """
 
     needs_sampling: bool
@@ -39,7 +39,7 @@ class BufferKind(NamedTuple):
 
 @dataclass(frozen=True)
 class TileBuffers:
-    """Arrays for the rays of the cells of many tiles.
+    """Arrays with one entry per subpixel cell, for the rays of the cells of many tiles.
 
     Attributes:
         gbuffer: Hits of the rays.
@@ -74,9 +74,9 @@ class TileBuffers:
         )
 
     def batch(self, level: int) -> RayBatch:
-        """Return the cells in the buffers as a batch of rays.
+        """Return the cells of one level in the buffers as a batch of rays.
 
-        Coverage and illumination are not counted for single cells.
+        The batch has no sums of coverage and illumination, because these are not counted per cell.
         """
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
@@ -95,7 +95,7 @@ class SharedTileBuffers:
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Allocate buffers that ``parts`` threads can use at the same time."""
-        # A part has space for whole tiles of any level, and for whole batches of look-ups.
+        # A part has space for a whole number of tiles of any level, and for a whole number of batches of look-ups.
         multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
         self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size
@@ -105,7 +105,7 @@ class SharedTileBuffers:
         self._colours = self.buffers.colours.numpy()
         samples = self.buffers.samples
         self._gains = [samples.gains.numpy(), samples.material_gains.numpy(), *samples.spectral_gains.numpy()]
-        # Several threads use this list without a lock, as ``append`` and ``pop`` are atomic.
+        # Several threads use this list without a lock, because the list methods ``append`` and ``pop`` are atomic.
         self._free = [part * self._size for part in range(parts)]
 
     def shade(
@@ -131,7 +131,8 @@ class SharedTileBuffers:
                 self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
                 self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
                 self._colours[first:end] = 0.0
-                # Look-ups process whole batches. Entries after the last ray get the gain 0, and add nothing.
+                # Look-ups process whole batches of rays. The unused rays at the end of the last batch get the gain 0,
+                # so that they contribute nothing.
                 for gains in self._gains:
                     gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit on the number of directions in the sample on which the planner tries plans. If doubled, planning requires more
+# Largest number of directions of a call that the planner samples to try plans on. If doubled, planning requires more
 # time.
 MOST_SAMPLED = 8192
-# Number of directions of a call from which on the planner samples them; it then uses at most every second direction.
-# For smaller calls, it uses all directions.
+# Number of directions of a call from which on the planner samples at most every second direction. For smaller calls, it
+# uses all directions.
 _SAMPLED_FROM = 4096
-# Random seed of the sample, arbitrary; with another seed, plans differ slightly.
+# Random seed that selects the sampled directions. It is arbitrary; with another seed, plans differ slightly.
 _SEED = 2
 
 
@@ -55,10 +55,10 @@ class DirectionSample:
         gains: NDArray[np.floating],
         parts: int = 1,
     ) -> DirectionSample:
-        """Sample the illuminated directions of one pass, evenly over their order in the arrays.
+        """Return a sample of the illuminated directions of one pass, evenly distributed over the arrays.
 
-        A call has a pass for each part of its lights. ``parts`` is the number of these passes, which contribute equal
-        shares to the sample of the call.
+        A call has a pass for each part of its lights: a lobe, a disc or the smooth rest of a sky. ``parts`` is the
+        number of these passes, which contribute equal shares to the sample of the call.
         """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
@@ -70,7 +70,7 @@ class DirectionSample:
 
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
-        """Join the samples of several passes to the sample of a call."""
+        """Join the samples of all passes of a call to one sample."""
         weights = np.concatenate([part.weights for part in parts])
         return cls(
             np.concatenate([part.scattering_vectors for part in parts]),
@@ -78,22 +78,23 @@ class DirectionSample:
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Return the directions with the indices ``places``, with other weights."""
+        """Return the sampled directions with the indices ``places``, with new weights."""
         return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Return the indices of those directions, among ``count`` illuminated ones of a pass, that a sample includes."""
-    # Each of the ``parts`` passes contributes at least one direction, even if their number exceeds the limit of the
-    # sample.
+    """Return the indices of the sampled directions, for a pass with ``count`` illuminated directions."""
+    # The sample of a call is divided equally among its ``parts`` passes, but each pass has at least one direction in
+    # it.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 
 def stratified(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most ``most`` of ``count`` indices, ascending, by stratified sampling: one random index per stratum.
+    """Return at most ``most`` ascending indices below ``count``: a random one from each of equally long intervals.
 
-    If directions are the pixels of a picture, a constant step between indices could select a single column or diagonal.
+    Indices at a constant step would not suffice: if the directions are pixels of a picture, they could all be in a
+    single column or diagonal.
     """
     if count <= most:
         return np.arange(count)
@@ -127,7 +128,7 @@ class DirectionRange:
         to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """Return the range of those of n scattering vectors and directions to the light that are illuminated."""
+        """Return the range of those of n directions that are illuminated, as the mask ``illuminated`` states."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -142,7 +143,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """Return the range that covers this one and ``other``; a range without illuminated directions has no effect."""
+        """Return the range that covers this one and ``other``; ranges without illuminated directions are ignored."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
@@ -165,11 +166,11 @@ def order_rate(
     scattering_vectors: NDArray[np.float64],
     to_lights: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """Return the rate at which the frequency q = (u, v)/λ changes with 1/λ, shape (n,).
+    """Return the order rate of n directions: how fast coefficients pass a direction as 1/λ changes, shape (n,).
 
-    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. The disc of a source is foreshortened along
-    the tangential part of the direction to the light. Its rate is |(u, v)| after the component of (u, v) along this
-    part is divided by cos θi.
+    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. For a source, whose disc is foreshortened
+    along the tangential part of the direction to the light, the component of (u, v) along this part is first divided by
+    cos θi.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

@@ -40,7 +40,7 @@ class Evaluation:
         materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
             the index of refraction.
         masking: Whether V-cavity masking is included.
-        energy: Treatment of the reflected power, one of ``settings.Energy``.
+        energy: ``"stam"``, or ``"normalised"`` if orders are scaled to sum to the reflected power.
         plan: Explicit plan, or None.
         strict: Whether a tolerance that cannot be met is an error.
         device: Warp device that runs the kernels.
@@ -76,7 +76,8 @@ class Evaluation:
     ) -> Evaluation:  # fmt: skip
         """Resolve checked settings for a height field.
 
-        ``by_geometry`` is whether the setting ``material`` may be a mapping from the names of a mesh's geometries.
+        ``by_geometry`` states whether the setting ``material`` may be a mapping from the names of a mesh's geometries
+        to materials.
         """
         check_whole(heightfield)
         for illuminant in illuminants:
@@ -105,7 +106,7 @@ class Evaluation:
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether energy is normalised on surfaces that transmit no light."""
+        """Whether orders sum to the reflected power: energy is normalised, and no surface transmits light."""
         materials = self.materials.values()
         opaque = all(
             self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials
@@ -118,7 +119,7 @@ class Evaluation:
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a copy of a plan whose ``energy_spread`` is the ``spread`` of this evaluation's energy factors."""
+        """Return a copy of a plan with the field ``energy_spread``, from the energy factors of this evaluation."""
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# Format of saved plans; its number increases when a field changes its name or meaning.
+# Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
-# Limit on the size of a file that is read as a plan [bytes]; plans have about 1 kB.
+# Largest size of a file that is read as a plan [bytes]; files of plans have about 1 kB.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -38,10 +38,10 @@ LABELS = {
 # computation of tables; the second is for table look-ups, which the memory slows down. The speeds convert predicted
 # costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
-# Limits on the rings per octave of a colour table.
+# Smallest and largest number of rings per octave that a colour table may have.
 MIN_RINGS, MAX_RINGS = 4, 512
-# Step and limit of the number of functions of w in a colour table. Each number requires separately compiled kernels; a
-# smaller step would cause more compilations.
+# The number of functions of w in a colour table is a multiple of the first number, and at most the second number. Each
+# number requires separately compiled kernels; a smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
 # Limits (least, most) of the fields that state for which directions and wavelengths a plan is valid. A component of a
 # sum of two unit vectors is at most 2, plus rounding.
@@ -178,7 +178,7 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # The upper limit is the largest finite number: the error bound of a diverging series may be very large.
+            # Predicted errors may have any finite value: the error bound of a diverging series may be very large.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))
         validation.flag(self.is_measured, "is_measured")
@@ -280,7 +280,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return label and text of a printed plan's line about the integral over λ; nothing for a spectrum."""
+        """Return label and text of the line about the integral over λ in a printed plan; nothing for a spectrum."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
@@ -407,7 +407,7 @@ def check_footprint(method: str) -> None:
 
 
 def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
-    """Whether a coherence supports a method together with a way of integrating over λ."""
+    """Whether a method can be used with a kind of coherence and with a way of integrating over λ."""
     if method in POWER_METHODS and not coherence.adds_powers:
         return False
     if integration != "table":
@@ -416,7 +416,7 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables exist for an expansion and a coherence: rows are powers if powers add, else amplitudes."""
+    """Whether colour tables can be computed from an expansion: its rows are powers exactly where powers add."""
     return (
         coherence.kind != "replicas"
         and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers

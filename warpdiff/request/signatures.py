@@ -56,7 +56,7 @@ def accepts(settings: type) -> Callable[[Function], Function]:
 
 
 def checked(function: Function) -> Function:
-    """Make a function check its arguments by their annotations, and refuse misspelt names, before its body runs."""
+    """Return a function that checks the arguments of ``function`` by its annotations, and refuses misspelt names."""
     signature, name = inspect.signature(function), function.__qualname__
 
     @functools.wraps(function)
@@ -97,6 +97,6 @@ def _with_options(text: str, options: list[Option]) -> str:
 
 
 def _facts(option: Option) -> str:
-    """Return range, choices, unit and default of an option, in brackets."""
+    """Return the range, choices, unit and default of an option as text in brackets, for its docstring."""
     facts = list(filter(None, (option.range, " | ".join(map(repr, option.choices)), option.unit)))
     return f"({'; '.join([*facts, f'default {option.default!r}'])})"

@@ -84,8 +84,8 @@ def tube(
             f"{1.0 / curvature:g} for a body of radius {radius:g}; reduce one of them"
         )
 
-    # Radius over arc length is a half ellipse at the head and at the tail. Rings at equal steps in the angle of the
-    # ellipse resolve its tip.
+    # At the head and at the tail, the radius of the body as a function of arc length is a half ellipse. The rings of
+    # vertices are at equal steps in the angle of the ellipse, so that they are dense at the tips.
     head, tail = 2.0 * radius, max(2.0 * radius, 0.4 * length)
     at_head, at_tail = segments_along // 8, segments_along // 3
     head_angle = np.linspace(0.0, math.pi / 2.0, at_head + 1)
@@ -101,16 +101,16 @@ def tube(
     forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
     sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
 
-    # The texture coordinate u increases around the body from the belly, in the sense for which (around, forward,
-    # outward) is right-handed.
+    # The texture coordinate u increases around the body from the belly, in the sense for which the directions (around,
+    # forward, outward) are right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
-    phi[-1] = phi[0]  # The two vertices at the seam get exactly the same position.
+    phi[-1] = phi[0]  # The first and last vertex of a ring get exactly the same position.
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
-    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, where ψ is the angle of the half ellipse.
-    # In this form it is finite at the tips. The factor `stretch` is the length of the surface divided by that of the
-    # centre line; on the inner side of a bend it is less than 1.
+    # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, where s is the arc length, r the radius and
+    # ψ the angle of the half ellipse. In this form it is finite at the tips. The factor `stretch` is the length of the
+    # surface divided by that of the centre line; on the inner side of a bend it is less than 1.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -121,12 +121,13 @@ def tube(
 
     ring = s / length
     around, along = np.meshgrid(turn, ring)
-    # At the tips, each triangle has a vertex of its own. Its texture coordinate u is that of the middle of the
-    # triangle.
+    # At a tip of the body, each triangle has a vertex of its own, whose texture coordinate u is that of the middle of
+    # the triangle.
     around[[0, -1]] += 0.5 / segments_around
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=2)
     faces = _alternating_faces(len(s), segments_around + 1)
-    # The rings at the two tips have zero radius. The quadrilaterals next to them are therefore triangles.
+    # The rings of vertices at the two tips of the body have zero radius. The quadrilaterals next to them are therefore
+    # triangles.
     columns = segments_around + 1
     last = (len(s) - 1) * columns
     i = np.arange(segments_around)
@@ -197,7 +198,8 @@ def _meander(
     s: NDArray[np.float64], bend: float, frequency: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return points (k, 3), headings (k,) [rad] and curvatures (k,) of a tube's centre line at arc lengths ``s``."""
-    # The curve is integrated by the midpoint rule with steps much finer than the rings.
+    # The positions are integrated from the headings by the midpoint rule, with steps much finer than the distance of
+    # rings.
     parts = 16
     step = np.diff(s)[:, None] / parts
     fine = bend * np.cos(frequency * (s[:-1, None] + step * (np.arange(parts) + 0.5)))

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and largest length of a snake [radii of the body]. Limit: the centre line is sampled at 4,097
-# points.
+# Length of the head, and largest length of the snake [radii of the body]. Limit: longer snakes are bent inaccurately,
+# because the centre line is sampled at 4,097 points.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
 # Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
 # the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
@@ -52,7 +52,8 @@ _SHIELDS = np.array(
 # Centre of the eye (fractions of the head's length and of the circumference), radius of the eye [radii of the body],
 # and circumferential position of the mouth. Chosen by eye.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
-# Length and circumference of the head [radii of the body]. They convert positions, which are fractions, to distances.
+# Length and circumference of the head [radii of the body], by which positions on the head, given as fractions, are
+# converted to distances.
 _HEAD_SPREAD = np.array([_HEAD_LENGTH, 4.0])
 # Lengths of the rounded ends of the head (snout) and of the tail (tip) [radii of the body].
 _SNOUT, _TIP = 0.4, 0.3
@@ -72,7 +73,7 @@ _RISER = 0.05
 # Colours of the pattern in sRGB, chosen by eye.
 _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 0.07)
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
-# Lengths that the head and the tip of the tail have in the texture [lengths of a scale of the body].
+# Lengths of the head and of the tip of the tail in the texture [lengths of a scale of the body].
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
 # Number of texels per scale along the body, and per row around it; the size of the texture is proportional to its
 # square.
@@ -80,14 +81,16 @@ _TEXELS = 8
 
 
 class _Patch(NamedTuple):
-    """Part of the mesh on the unrolled skin. Texture coordinates differ from positions where scales overlap.
+    """Part of the mesh on the unrolled skin.
+
+    Texture coordinates are stored in addition to positions, because both differ where scales overlap.
 
     Attributes:
         x: Position around the body [rows], shape (k,).
         tau: Position along the body [scales], shape (k,).
         shift: Displacement of the vertex to the rear [scales], shape (k,).
         rise: Displacement of the vertex outwards [scales], shape (k,).
-        u, v: Positions ``x`` and ``tau`` in the texture, shape (k,).
+        u, v: Position around the body [rows] and along it [scales] from which the vertex takes its colour, shape (k,).
         wall: Whether the vertex belongs to the wall under a free edge of a scale, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
@@ -151,13 +154,13 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # The estimate of the required memory is the measured peak in bytes. The belly counts as two more rows of scales.
+    # Required memory in bytes, from the measured peak. The belly counts as two more rows of scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # The shortest length is limited because a single spline interpolates the cross sections of both head and body.
+    # Shorter snakes are refused: a single spline interpolates the cross sections of head and body, and requires both.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -176,13 +179,13 @@ def snake(
     along = (patch.v + _HEAD_SCALES) / (_HEAD_SCALES + ventrals + _TIP_SCALES)
     uvs = np.stack([around, along] if tangent == "around" else [along, 1.0 - around], axis=1)
     colours = _pigment(skin, np.random.default_rng(seed))
-    # The rows are reversed, because the first row of an image is at the texture coordinate v = 1.
+    # The rows of the texture are reversed, because the first row of an image is at the texture coordinate v = 1.
     colours = colours[::-1] if tangent == "around" else colours.transpose(1, 0, 2)
     return _mesh(vertices, patch.faces, _normals(vertices, patch, skin), uvs, colours)
 
 
 def check_meander(radius: float, length: float, bend_deg: float, waves: float, tangent: str) -> None:
-    """Check the arguments that ``tube`` and ``snake`` share."""
+    """Raise an error if an argument that ``tube`` and ``snake`` share is out of its range."""
     validation.positive(radius, "radius")
     validation.positive(length, "length")
     validation.number(bend_deg, "bend_deg", least=0.0, most=120.0)
@@ -191,7 +194,7 @@ def check_meander(radius: float, length: float, bend_deg: float, waves: float, t
 
 
 class _Skin:
-    """Map from the unrolled skin to positions in space.
+    """Shape of the snake: a map from positions on the unrolled skin to positions in space.
 
     Attributes:
         radius: Half of the largest width of the body [mesh units].
@@ -260,13 +263,13 @@ class _Skin:
         return (x + self.belly) / (self.breadth + 2.0 * self.belly)
 
     def points(self, patch: _Patch) -> Floats:
-        """Return the positions of a patch's vertices in space, shape (k, 3)."""
+        """Return the positions in space of the vertices of a part of the skin, shape (k, 3)."""
         s = np.interp(patch.tau + patch.shift, self._tau, self._s)
-        # The rise moves a vertex away from the centre line of the body. This direction is nearly that of the surface
-        # normal.
+        # The displacement `rise` moves a vertex away from the centre line of the body. This direction is nearly that of
+        # the surface normal.
         width, height, depth, power = self.outline(s).T
-        # The modulus maps both sides of the seam to the same angle, so that their vertices have exactly the same
-        # position.
+        # The modulus maps both sides of the seam of the texture to the same angle, so that their vertices have exactly
+        # the same position.
         phi = 2.0 * math.pi * (self.turn(patch.x) % 1.0) - math.pi / 2.0
         c, d = np.cos(phi), np.sin(phi)
         square = (np.abs(c) ** power + np.abs(d) ** power) ** (-1.0 / power)
@@ -288,7 +291,7 @@ def _integral(s: Floats, values: Floats) -> Floats:
 
 
 def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
-    """Interpolate the rows of ``values`` by cubic Hermite polynomials, with slopes from neighbouring stations."""
+    """Interpolate the rows of ``values`` over their stations by cubic polynomials, with slopes from the neighbours."""
     slopes = np.gradient(values, stations, axis=0)
     i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
     step = (stations[i + 1] - stations[i])[:, None]
@@ -308,7 +311,7 @@ def _smoothstep(t: Floats) -> Floats:
 
 
 def _fade(skin: _Skin, tau: Floats) -> Floats:
-    """Return the factor of the scales' relief at ``tau``: 0 at the neck and at the end of the tail, 1 in between."""
+    """Return the factor by which the relief of scales is multiplied at ``tau``: 0 at the neck and the tail's end."""
     return _smoothstep(tau / _FADE) * _smoothstep((skin.count - tau) / _FADE)
 
 
@@ -340,7 +343,7 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
 def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
-    """Return m patches of k vertices each, all with the same ``faces``, as one patch."""
+    """Join m patches of k vertices each, all with the same ``faces``, to one patch."""
     m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
@@ -349,7 +352,7 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """Return one patch with the vertices and faces of several patches."""
+    """Join several patches to one patch with all their vertices and faces."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
@@ -442,7 +445,7 @@ def _ring(skin: _Skin, n: int) -> Floats:
 
 
 def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
-    """Return a patch of rings of vertices, of which one ring has zero radius.
+    """Return a part of the mesh that closes the skin at a tip: rings of vertices, of which one has zero radius.
 
     Args:
         x: Positions of the vertices around the body, shape (n,).
@@ -563,7 +566,7 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
     along = (1.0 - share) * tau0 + share * (cell_a + cell_b + 1.0) / 2.0
 
     blotches = max(2, round(skin.count / 6.2))
-    # The offset of 0.4 periods places the first blotch on the neck.
+    # The offset of 0.4 periods of the pattern places the first blotch on the neck.
     phase = along / skin.count * blotches + 0.4
     period = skin.count / blotches
 

@@ -122,9 +122,10 @@ def _one_dimensional(period_um: float, depth_um: float, samples: int | None) -> 
         # The number of samples is made even, so that one sample is exactly at the valley of a sine.
         samples = max(64, 2 * math.ceil(0.5 * period / _COARSEST_PITCH_UM - 1e-9))
     samples = validation.count(samples, "samples", least=2)
-    scale_checks.warn_of_grating(period, depth_um=depth)
     memory.require_samples(1, samples, f"take {{share}} of {ref('period_um')}, or of {ref('samples')}")
-    return validation.number(period, "period_um", least=samples * validation.LEAST), depth, samples
+    period = validation.number(period, "period_um", least=samples * validation.LEAST)
+    scale_checks.warn_of_grating(period, depth_um=depth)
+    return period, depth, samples
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def disc(
         coverage = np.zeros((along, across))
         for start, stop in zip(edges[0:-1:2], edges[1::2], strict=True):
             half, middle = 0.5 * (stop - start), 0.5 * (start + stop)
-            # Only the rows of samples near the pit are computed; this saves time.
+            # The heights are computed only in the rows of samples near the pit, to save time.
             first, last = math.floor((middle - half) / dy) - 2, math.ceil((middle + half) / dy) + 2
             rows = np.arange(first, last + 1) % along
             offset = (y[rows] - middle + 0.5 * length) % length - 0.5 * length
@@ -278,7 +279,6 @@ def bumps(
         (50, 25)
     """
     height = validation.number(height_um, "height_um", least=0.0)
-    scale_checks.warn_of_grating(min(validation.pair(spacing_um, "spacing_um")), height_um=height)
     extent = validation.positive(length_um, "length_um"), validation.positive(width_um, "width_um")
     spacing = validation.pair(spacing_um, "spacing_um")
     pitch = validation.positive(pitch_um, "pitch_um")
@@ -289,6 +289,7 @@ def bumps(
             )
     ny, nx = (max(2, math.ceil(side / pitch - 1e-9)) for side in spacing)
     memory.require_samples(ny, nx, f"take {{side}} of {ref('spacing_um')}, or a larger {ref('pitch_um')}")
+    scale_checks.warn_of_grating(min(spacing), height_um=height)
     y = (np.arange(ny) - ny // 2) * (spacing[0] / ny)
     x = (np.arange(nx) - nx // 2) * (spacing[1] / nx)
     cap = 1.0 - (2.0 * y[:, None] / extent[0]) ** 2 - (2.0 * x / extent[1]) ** 2
@@ -332,7 +333,6 @@ def fingers(
     period = validation.positive(period_um, "period_um")
     length = validation.positive(length_um, "length_um")
     height = validation.number(height_um, "height_um", least=0.0)
-    scale_checks.warn_of_grating(period, height_um=height)
     if size[0] < length or size[1] < period:
         raise ArgumentValueError(
             f"{ref('size_um')} must be at least one finger, (y, x) = ({length:g}, {period:g}), got {size}"
@@ -345,9 +345,11 @@ def fingers(
     rng = _generator(seed)
     ny, nx = (round(side / step) for side, step in zip(size, pitch, strict=True))
     memory.require_samples(ny, nx, f"take {{side}} of {ref('size_um')}, or a larger {ref('pitch_um')}")
+    scale_checks.warn_of_grating(period, height_um=height)
     dy, dx = size[0] / ny, size[1] / nx
     ridges, rows = round(size[1] / period), round(size[0] / length)
-    # From here on, x is in units of the distance of ridges, and y in units of the length of fingers.
+    # In the following code, x is in units of the distance between ridges of fingers, and y in units of the length of a
+    # finger.
     x, y = np.arange(nx) * (ridges / nx), np.arange(ny) * (rows / ny)
     waves = np.arange(1, 4)
     angles = 2.0 * np.pi * (np.outer(np.arange(ridges) / ridges, waves) + rng.uniform(size=3))
@@ -366,7 +368,8 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # Only columns near the ridge are processed. In other columns its contribution is smaller than rounding errors.
+        # A ridge is added only to the columns of samples near it. In other columns its height is smaller than rounding
+        # errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]

@@ -100,7 +100,8 @@ class View(Checked):
                 f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
                 f"got {self.width} × {self.height}"
             )
-        # The frame is computed here although it is not stored: it raises errors about ``eye``, ``target`` and ``up``.
+        # The frame is computed here, although it is not stored, because its computation raises errors about wrong
+        # fields.
         self.frame()
 
     @classmethod
@@ -118,8 +119,8 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
         """
-        # The values are annotated as Any, because the fields are tuples; ``__post_init__`` converts array-likes to
-        # tuples.
+        # The arguments may be arrays, but the fields are tuples. They are annotated as Any, because ``__post_init__``
+        # converts them.
         operands: Any = (eye, target, up)
         extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
@@ -162,8 +163,8 @@ class View(Checked):
             back = front / np.linalg.norm(front) + 0.6 * above
         else:
             back = validation.directions(validation.vector(direction, "direction"), "direction")[0][0]
-        # The values are annotated as Any, because the fields are tuples; ``__post_init__`` converts array-likes to
-        # tuples.
+        # The arguments may be arrays, but the fields are tuples. They are annotated as Any, because ``__post_init__``
+        # converts them.
         operands: Any = (back, up)
         view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
         validation.flag(turning, "turning")

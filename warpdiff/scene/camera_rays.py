@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
 # Seed of the random positions of rays within pixels. Choice: any constant makes pictures reproducible.
 _SEED = 0
-# Number of rays, and of faces to rasterize, per slice of a launch on the CPU. Fitted: a thread takes about 1 ms for a
-# slice.
+# Number of rays, and number of rasterized faces, that a CPU thread processes per slice. Fitted: a slice then requires
+# about 1 ms.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# An occluder grid is used if there are fewer than this many faces per shadow ray. Fitted: relative to the time of a
-# shadow ray through the hierarchy, adding a face to a grid takes a fifth, and a shadow ray through the grid a quarter.
+# Occluder grids are made if the mesh has fewer than this many faces per shadow ray. Fitted: adding a face to a grid
+# requires a fifth of the time of a shadow ray through the hierarchy, and a shadow ray through the grid requires a
+# quarter.
 _FACES_PER_RAY = 3
-# Approximate size of a grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory. With 100
-# lobes, for example, grids are used for meshes of up to 149,000 faces.
+# Approximate size of an occluder grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory.
+# With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
@@ -55,17 +56,17 @@ class CameraRays:
     def __init__(
         self, surface: Surface, view: View, *, smooth: bool, margin: int = 0, device: wp.Device, threads: int
     ) -> None:
-        """Allocate arrays for views of the size of ``view``, and set this view.
+        """Allocate arrays for views with as many pixels as ``view``, and set this view.
 
-        For the arguments see :func:`rays_for`.
+        The arguments are those of :func:`rays_for`.
         """
         self.surface, self._margin = surface, margin
         self.width, self.height = view.width + 2 * margin, view.height + 2 * margin
         self.size = self.width * self.height
         self.scene = device_mesh.arrays_for(surface, smooth=smooth, device=device)
         self._axes = wp.empty(5, dtype=wp.vec3d, device=device)
-        # Position of the present ray in each pixel, relative to the pixel's centre. If empty, rays pass through the
-        # centres.
+        # Position of the ray in each pixel, relative to the pixel's centre. If the array is empty, rays pass through
+        # the centres.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
         self.gbuffer = GBuffer.allocate(self.size, coloured=surface.has_base_colour, device=device)
@@ -78,21 +79,21 @@ class CameraRays:
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Set the position of one of ``samples`` rays per pixel, and return the kernel calls that trace it."""
+        """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it."""
         return self.calls(self._sampling(sample, samples), self.gbuffer)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
-        """Launch kernel calls whose elements are the rays of all pixels, one per pixel."""
+        """Launch kernel calls over all pixels, with one ray per pixel."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that find the hits of rays and compute the shading frames at the hits."""
+        """Return the kernel calls that find the hits of rays, and compute the shading frames at the hits."""
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
         return [trace, *self._known_face_calls(sampling, gbuffer)]
 
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute each hit and its shading frame; the nearest face is known already."""
+        """Return the kernel calls that compute hits and shading frames, after the nearest face of each ray is known."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         return [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
@@ -100,7 +101,7 @@ class CameraRays:
         ]
 
     def _sampling(self, sample: int, samples: int) -> Sampling:
-        """Return a struct with the position of one of ``samples`` rays in each pixel. A single ray is in the centre."""
+        """Return a struct with the position of one of ``samples`` rays in each pixel; a single ray is in the centre."""
         sampling = Sampling()
         if samples > 1:
             if not len(self._offsets):
@@ -117,9 +118,7 @@ class CameraRays:
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
     ) -> list[ShadowGrid]:
-        """Return a struct ``ShadowGrid`` for each light.
-
-        These structs have no lists of faces, and shadow rays use the hierarchy.
+        """Return an empty occluder grid for each light, so that shadow rays use the hierarchy.
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
@@ -135,24 +134,18 @@ class RasterizedRays(CameraRays):
     """
 
     def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Find the nearest faces for one of ``samples`` rays per pixel.
-
-        Return the kernel calls that compute the hits.
-        """
+        """Find the nearest faces for one of ``samples`` rays per pixel; return the calls that compute the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
         return self.calls(sampling, self.gbuffer)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute hits and shading frames.
-
-        Nearest faces are found by rasterization before.
-        """
+        """Return the kernel calls that compute hits and shading frames, after rasterization of the nearest faces."""
         return self._known_face_calls(sampling, gbuffer)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
-        """Return the index of the nearest face for each cell of ``pixels`` pixels, pixel after pixel."""
+        """Return the index of the nearest face for each cell of ``pixels`` pixels, one pixel after the other."""
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())
@@ -167,7 +160,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return occluder grids if they save time and fit in memory, otherwise structs without lists of faces."""
+        """Return an occluder grid for each light. Grids that save no time, or need too much memory, are empty."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         return [

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Number of faces per leaf of a hierarchy on the CPU. Choice: other values change the time of rays, not their hits.
+# Largest number of faces per leaf of a hierarchy on the CPU. Choice: it changes the time of rays, not their hits.
 _LEAF = 4
-# Lock for building a hierarchy, so that two threads do not build the same one.
+# Lock that is held while a hierarchy is built, so that two threads do not build the same one.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
 # Number of cached occluder grids per mesh; those of the latest light directions are kept. Limit: a grid takes about 72
@@ -41,9 +41,9 @@ class SceneArrays:
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
-        """Copy the arrays to the device.
+        """Copy the arrays of a surface to a device.
 
-        Without ``smooth``, kernels use the normals of faces instead of vertex normals.
+        If ``smooth`` is False, kernels use face normals instead of vertex normals.
         """
         colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
@@ -62,10 +62,10 @@ class SceneArrays:
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
     def with_hierarchy(self) -> SurfaceArrays:
-        """Return the mesh as a struct for kernels, with a hierarchy of faces that the first call builds."""
+        """Return the mesh as a struct for kernels, with a hierarchy of its faces, which the first call builds."""
         with _once:
             if self._mesh is None:
-                # On the CPU, cubQL builds a hierarchy in half the time of Warp's default constructor.
+                # On the CPU, the builder "cubql" makes a hierarchy in half the time of Warp's default builder.
                 constructor, leaf = ("cubql", _LEAF) if self.bare.positions.device.is_cpu else (None, None)
                 self._mesh = wp.Mesh(
                     points=self.bare.positions, indices=self.bare.faces.flatten(), bvh_constructor=constructor,
@@ -76,7 +76,7 @@ class SceneArrays:
 
 
 def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> SceneArrays:
-    """Return the arrays of a surface on a device, from a cache."""
+    """Return the arrays of a surface on a device. They are cached as long as the surface exists."""
     scenes = _cached.setdefault(surface, LruCache())
     return scenes.get_or_make((str(device), smooth), lambda: SceneArrays(surface, smooth=smooth, device=device))
 
@@ -84,8 +84,8 @@ def arrays_for(surface: Surface, *, smooth: bool, device: wp.DeviceLike) -> Scen
 def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> Camera:
     """Return the struct :class:`warpdiff.kernels.structs.Camera` of a view, in the units of the surface.
 
-    The camera covers ``margin`` more pixels on each side. The vectors of the camera are written to ``axes``, (5,) of
-    ``wp.vec3d``.
+    The camera has ``margin`` additional pixels on each side. The vectors of the camera are written to the array
+    ``axes``, (5,) of ``wp.vec3d``.
     """
     frame = view.frame()
     result = Camera()
@@ -104,14 +104,18 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 
 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
-    """Return whether shadow rays are required. No point of a convex body that is viewed from outside is in a shadow."""
+    """Return whether shadow rays are required.
+
+    They are not required for a convex body that is viewed from outside, because no visible illuminated point is in
+    shadow.
+    """
     if not surface.is_convex:
         return True
     frame = view.frame()
     eye = (frame.origin - surface.centre) / surface.radius
     vertices = surface.vertices.astype(np.float64)
     if frame.orthographic:
-        # Orthographic rays start on a plane. If it cuts the body, the inside is visible.
+        # Orthographic rays start on a plane. If the plane intersects the body, its inside is visible.
         return bool(np.max(vertices @ frame.back) > eye @ frame.back)
     a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
     return not np.any(np.einsum("ij,ij->i", np.cross(b - a, c - a), eye - a) > 0.0)

@@ -9,13 +9,13 @@ import warp as wp
 
 from warpdiff.kernels.structs import Pixels
 
-# Fields of the struct ``Pixels`` that have a vector of three floats for each ray.
+# Names of the fields of the struct ``Pixels`` that store a vector of three floats per ray.
 _VECTORS = ("tangent", "bitangent", "normal", "to_view", "shadow_origin")
 
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Hits of rays; the kernel calls of :class:`~warpdiff.scene.camera_rays.CameraRays` fill the arrays.
+    """Hits of rays. The arrays are written by the kernel calls of :class:`~warpdiff.scene.camera_rays.CameraRays`.
 
     Attributes:
         pixels: The struct ``Pixels`` of the kernels, whose arrays have one entry per ray.
@@ -40,5 +40,5 @@ class GBuffer:
 
     @property
     def hit_count(self) -> int:
-        """Number of rays that hit the mesh; the host reads the hits from the device."""
+        """Number of rays that hit the mesh. The array of hits is copied to the host to count them."""
         return int(np.count_nonzero(self.pixels.hit.numpy()))

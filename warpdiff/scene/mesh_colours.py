@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL import Image
 
-# Key of ``PIL.Image.info`` for the reason why the image cannot be decoded.
+# Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
 
 
@@ -35,7 +35,7 @@ def colours_of(material: Any) -> tuple[NDArray[np.float32] | None, NDArray[np.fl
         return (texture * linear).astype(np.float32), None
     image = getattr(material, "image", None)
     if image is not None:
-        # trimesh adds a texture of 2 × 2 grey pixels to a mesh without a material; it is ignored here.
+        # trimesh gives a mesh without a material a texture of 2 × 2 grey pixels, which is ignored here.
         invented = image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image()))
         texture = None if invented else _image(image)
         if invented or texture is not None:
@@ -54,10 +54,11 @@ def _image(image: Image.Image) -> NDArray[np.float32] | None:
         warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
         return None
     if image.mode.startswith("I"):
-        # PIL's modes that begin with I have 16-bit grey values, which Pillow's conversion to RGB would clip at 255.
+        # Pillow's image modes that begin with the letter I have 16-bit grey values. Pillow's own conversion to RGB
+        # would clip these at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    # The sRGB transfer function is applied to the 256 possible values, instead of to every pixel, to save time.
+    # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
 

@@ -34,10 +34,10 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     contents: dict[str, bytes] = {}
     reasons: dict[str, str] = {}
     try:
-        # process=False prevents trimesh from merging vertices, which would break the texture along its seams.
+        # With ``process=False``, trimesh does not merge vertices. Merging would break the texture along its seams.
         scene = trimesh.load_scene(file, process=False, resolver=_resolver(file, contents, reasons))
     except Exception as error:
-        # trimesh's loaders of damaged files raise errors of any type.
+        # For a damaged file, the loaders of trimesh raise errors of any type, so that all types are caught here.
         raise ArgumentValueError(
             f"{ref('mesh')} must be a file that trimesh can read, got {str(file)!r}, which is damaged, truncated or of "
             f"another format: {error}"
@@ -54,7 +54,8 @@ def load(path: str | os.PathLike[str]) -> trimesh.Scene:
     for name, reason in reasons.items():
         warn(f"{ref('mesh')}: {str(file)!r} refers to {name!r}, which is ignored: {reason}")
     for image in _images(scene):
-        # The name of the image's file is stored for later warnings. Images of OBJ files already have ``file_path``.
+        # The name of the image's file is stored for later warnings. In images of OBJ files, trimesh has already stored
+        # ``file_path``.
         stream = getattr(image, "fp", None)
         content = stream.getvalue() if isinstance(stream, io.BytesIO) else None
         names = [name for name, data in contents.items() if data == content]

@@ -51,7 +51,8 @@ class FaceGeometry:
     @property
     def has_area(self) -> NDArray[np.bool_]:
         """Whether each face has more area than a line or a point, shape (m,)."""
-        # The squared length of an edge is the sum of ``products`` at its two ends.
+        # ``products`` has, for each corner, the scalar product of the two edges that start there. The products at the
+        # two ends of an edge add up to its squared length.
         at = self.products
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
@@ -143,9 +144,9 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number the distinct positions of vertices.
+    """Give vertices at the same position the same number, and other vertices other numbers.
 
-    Return each vertex's number, and the vertices in the order of numbers.
+    Return the number of each vertex, and the indices of the vertices in the order of their numbers.
     """
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
     # Coordinates are rounded to integers of 21 bits, and joined to one integer per vertex, which is faster to sort than
@@ -189,8 +190,9 @@ def tangents_from_uvs(
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # The direction ∂P/∂u of a face is scaled so that its projection on the vertex's tangent plane has unit length.
-    # Otherwise faces with steep directions would have less weight in the mean. The sum is projected at the end.
+    # The direction ∂P/∂u of a face is scaled so that its projection on the tangent plane of the vertex has unit length.
+    # Otherwise faces with steep directions would have less weight in the mean. The projection itself follows after the
+    # sum over faces.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)
@@ -203,15 +205,18 @@ def tangents_from_uvs(
 def join_seams(
     field: NDArray[np.float64], welded: NDArray[np.int64], order: NDArray[np.int64], handedness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Add to each vertex's tangent those of other vertices at its position that are similar, with equal handedness."""
+    """Add to a vertex's tangent those tangents of other vertices at its position that have a similar direction.
+
+    Only vertices with equal handedness are added.
+    """
     count = len(order)
     ends = np.cumsum(np.bincount(welded))
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
-    # In ``order``, vertices at one position are consecutive. Each vertex is compared with the next one, the one after
-    # that, and so on. One round of the loop makes several of these comparisons, as long as it has no more pairs than
-    # vertices, which limits memory.
+    # Vertices are sorted by position. A vertex is compared with the next one at its position, then with the one after
+    # that, and so on. A round of the loop makes many comparisons at once. To limit memory, a round has at most about as
+    # many pairs as the mesh has vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))
@@ -231,7 +236,7 @@ def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
     name: str,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return tangents at all vertices. Those that are missing are means over neighbours, from known ones outwards."""
+    """Return tangents at all vertices. Missing ones are means over neighbouring vertices, from known ones outwards."""
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
         return field
@@ -253,7 +258,8 @@ def fill(
         if not new.any():
             break
         at += new
-    # A component of the mesh in which no vertex has a tangent gets the sum of all tangents, made tangential.
+    # In a connected part of the mesh where no vertex has a tangent, all vertices get the sum of all tangents of the
+    # mesh, made tangential.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
 
@@ -261,10 +267,7 @@ def fill(
 def _sides_of_edges(
     faces: NDArray[np.integer[Any]], welded: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Return the two face corners at which each edge starts, as flat indices.
-
-    The result is None unless the mesh is a closed manifold.
-    """
+    """Return for each edge the two face corners at which it starts, one in each adjacent face, as flat indices."""
     start = welded.take(faces)
     end = start[[1, 2, 0]]
     edges = (np.minimum(start, end) * (int(welded.max()) + 1) + np.maximum(start, end)).ravel()

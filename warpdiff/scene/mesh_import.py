@@ -44,7 +44,7 @@ HOW_TO_GET_TANGENTS = (
     "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
 )
 
-# Beginning of the label of a geometry of a scene in messages; the name of the geometry follows.
+# First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
 
 
@@ -134,7 +134,7 @@ def prepare_surface(
 def normalised_positions(
     mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str],
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Return ``centre``, ``radius`` and ``vertices`` as in :class:`Surface`, without computing colours and tangents."""
+    """Return ``centre``, ``radius`` and ``vertices`` as in :class:`Surface`, without computing the other attributes."""
     if isinstance(mesh, Surface):
         return mesh.centre, mesh.radius, mesh.vertices.astype(np.float64)
     with _naming_file(mesh), single_threaded_blas():
@@ -253,8 +253,8 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
     if determinant < 0.0:
         part.faces = part.faces[:, ::-1]
     if part.normals is not None and determinant != 0.0:
-        # Normals are transformed by the transposed inverse. Its factor, the absolute value of the determinant, keeps
-        # normals on the outside if the transform reverses the faces.
+        # Normals are multiplied by the transposed inverse of the transform, times the absolute value of its
+        # determinant. A reflection reverses the order of the corners of faces above; normals remain on the outside.
         part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
     return part
 
@@ -368,7 +368,7 @@ def _join(parts: list[_Part]) -> _Part:
 
     colours = gather("colours", 3)
     if colours is not None:
-        # A part without colour or texture has no pigment, and its colour is black.
+        # A part of the scene without colour and texture has no pigment, so its colour is black.
         none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
     return _Part(

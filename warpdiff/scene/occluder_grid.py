@@ -19,15 +19,16 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Largest mean number of cells that a face overlaps, and largest mean number of faces in the list of a face's cell.
-# Limit: meshes with very uneven faces exceed these numbers, and a hierarchy is then faster than a grid.
+# Limits above which a hierarchy is used instead of a grid. First number: mean number of cells that a face overlaps.
+# Second number: mean length of the lists that contain a face. Meshes with very uneven faces exceed the limits, and a
+# hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces per slice of a launch. Choice: other values change only the time.
 _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """Return a struct ``ShadowGrid`` without lists of faces, with which shadow rays use the hierarchy."""
+    """Return an empty occluder grid, with which shadow rays use the hierarchy."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -36,9 +37,9 @@ def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> shadow_rays.ShadowGrid:
-    """Return the struct ``ShadowGrid`` of a mesh and the direction of a light, on the CPU, from a cache.
+    """Return the occluder grid of a mesh for the direction of a light, on the CPU, from a cache.
 
-    If faces have very uneven sizes, the struct has no lists, because the lists of a few cells would contain most of the
+    If faces have very uneven sizes, the grid is empty, because the lists of a few cells would contain most of the
     faces.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
@@ -54,12 +55,12 @@ def _made(
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # The kernel rounds projected positions differently than NumPy does. A margin of two steps keeps them inside the
+    # The kernel and NumPy round projected positions differently. A margin of two steps keeps the positions inside the
     # grid.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # The side of a cell, such that the grid has about as many cells as the mesh has faces.
+    # Side of a cell. The grid has about as many cells as the mesh has faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)

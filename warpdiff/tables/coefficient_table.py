@@ -1,4 +1,4 @@
-"""Tables of the Fourier coefficients of a height field on a device, in the layout of the spectral kernels; cached."""
+"""Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache."""
 
 from __future__ import annotations
 
@@ -31,27 +31,28 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number. Each
-# padded length requires separately compiled kernels.
+# Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number, so that
+# loops over a row use whole registers. Each padded length requires separately compiled kernels.
 LANES = 8
-# Limit: smallest number of wavelengths in a quadrature.
+# Smallest number of wavelengths in a quadrature, the numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# Limit: smallest Gaussian weight of a neighbour. A table contains all neighbours down to this weight, also for plans
-# that exclude them. Plans with larger least weights can therefore share a table.
+# Gaussian weight down to which a coefficient table contains all neighbours, even if the plan excludes neighbours with
+# larger weights. All these plans can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# Limit: smallest number of intervals between wavelengths for replicas. A cubic through four neighbouring wavelengths
-# interpolates the power of one patch.
+# Smallest number of intervals between wavelengths for replicas. Limit: the power of one patch is interpolated by cubics
+# through four neighbouring wavelengths.
 _FEWEST_INTERVALS = 4
-# Limit: number of permitted quadrature sizes per doubling of the size. Few permitted sizes let plans share quadratures.
+# Number of permitted quadrature sizes (numbers of wavelengths) from one size to twice that size. Plans share a
+# quadrature if they have the same size; more permitted sizes would make this rarer.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while a quadrature is computed [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
-# Number of cos θd at which the reflectance of a material is tabulated. The error of linear interpolation is at most
-# 1e-4; it is largest near the horizon.
+# Number of values of cos θd at which the reflectance of a material is tabulated. The error of linear interpolation is
+# at most 1e-4; it is largest near the horizon.
 _ANGLES = 513
-# Measured peak memory [bytes]. The first two are per coefficient and term: while a series is computed, and while a
-# basis is fitted to the series. The last two are per frequency of the Fourier transform: in total, and in addition for
-# each thread.
+# Measured peak memory while coefficients are computed [bytes]. First two numbers, per coefficient and term: for a
+# series, and for the fit of a basis to the series. Last two numbers, per frequency of the Fourier transform: in total,
+# and in addition for each thread.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
@@ -134,7 +135,7 @@ class Table:
 
     Attributes:
         integrate: Kernel that integrates over λ to XYZ.
-        sample: Kernel that evaluates the wavelengths that a caller chooses.
+        sample: Kernel that computes ρ at wavelengths that the caller selects.
         arguments: Struct ``Table`` of the kernels, the first argument of both kernels.
         coefficients: Coefficients on the host from which the table was made.
     """
@@ -156,7 +157,7 @@ def coefficients_for(
 ) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
     """Return the coefficients for a range of directions, from the cache if possible, with their block and grid.
 
-    Coefficients do not depend on the size or position of a window.
+    The size and the position of a window have no effect on the coefficients.
 
     Args:
         heightfield: Height field whose coefficients are returned.
@@ -166,7 +167,8 @@ def coefficients_for(
         neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
         terms: Number of terms of a series; the fit of a basis selects its own number.
         threads: Number of transforms that run in parallel.
-        to_fit: Whether the result is only the series to which a basis is fitted; a cache of one entry then stores it.
+        to_fit: Whether the caller only fits a basis to the resulting series. The series is then stored in a cache of
+            one entry.
     """
     coefficient_range = CoefficientRange.covering(direction_range)
     kappas = 0.0 if method in EXPANSIONS else coefficient_range.kappa_low, coefficient_range.kappa_high
@@ -210,7 +212,8 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # The series of the last fit is discarded here, because two cached series would require twice the memory.
+        # The series of the last fit is removed from its cache: it has moved to the other cache or is no longer needed,
+        # and two cached series would require twice the memory.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -235,8 +238,8 @@ def table_for(
 ) -> Table:
     """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions for which it is computed. If the call is within the plan's
-    # range, the basis is computed for the plan's range. The same plan then always gives the same results.
+    # A fitted basis depends on the range of directions to which it is fitted. This is the range of the plan, extended
+    # only if the call exceeds it. All calls within the range of a plan therefore give consistent results.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -279,7 +282,7 @@ def table_for(
 
 
 def without_zeroth_order(table: Table) -> Table:
-    """Replace the rows of a new table by copies in which the zeroth order, the reflection of the mean plane, is 0."""
+    """Return a new table with its rows replaced by copies in which the zeroth order is 0."""
     arguments = table.arguments
     rows = arguments.rows.numpy().copy()
     rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
@@ -299,7 +302,7 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
 
 def radius(plan: Plan) -> float:
-    """Return the largest distance in frequency [1/µm] between a direction and its neighbours in a table."""
+    """Return the distance in frequency [1/µm] up to which a table contains the neighbours of each direction."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
     return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
@@ -307,25 +310,25 @@ def radius(plan: Plan) -> float:
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """Return the number of coefficients along (y, x) on either side of a direction that a table must contain.
 
-    Plans with least weights above ``_LEAST_EXTENT_WEIGHT`` have the same extent, and therefore the same fitted
+    All plans whose least weight is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so that they share one fitted
     basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the Gaussian weight of a source has elliptical contours. The kernels sum over a
-    # parallelogram of coefficients that contains the ellipse.
+    # At oblique incidence, the neighbours under a source lie within an ellipse. The kernels sum over a parallelogram
+    # that contains the ellipse and extends farther by up to the factor √2.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
 def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
-    """Return the struct ``Quadrature`` of the spectral kernels for a plan, an illuminant and a material."""
+    """Return the struct ``Quadrature`` for a plan and an illuminated material: wavelengths with colour weights."""
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # Directions of small bandwidth use smaller quadratures. The smallest useful quadrature is that for the constant
-    # part of the bandwidth, which every direction requires.
+    # Directions of smaller bandwidth use sets with fewer wavelengths. The smallest useful set is the one for the
+    # constant part of the bandwidth, which every direction requires.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -359,7 +362,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted quadrature size that is not less than ``count`` by more than 2 %."""
+    """Return the smallest permitted number of wavelengths that is at least ``count``, up to a deficit of 2 %."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -370,7 +373,10 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Store the tap polynomials of the gridding kernel in a table's struct; an axis of one sample has one tap."""
+    """Store the polynomials of the gridding kernel in the struct of a table.
+
+    Along an axis with a single sample, they are replaced by one constant weight of 1.
+    """
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
     constant_x[0, 0] = 1.0
@@ -388,7 +394,7 @@ def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArra
 
 
 def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
-    """Return exp(−2πi q_rs·x_c), which moves the window from the corner of the patch to its position x_c."""
+    """Return exp(−2πi q_rs·x_c): factors of the coefficients that move the window from a corner to its centre x_c."""
     middle = [n // 2 * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
     centre = coherence.centre_um or middle
     s, r = block.orders()

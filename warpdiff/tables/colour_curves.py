@@ -30,25 +30,27 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Number of |w| at which the functions of w are tabulated: at least 32 per oscillation. Cubics interpolate between them.
+# Number of values of |w| at which the functions of w are tabulated: at least 32 per oscillation of a function. Cubics
+# interpolate between them.
 _ENTRIES_OVER_W = 160
-# Lower limit of the scale of relative errors. The scale is the size of the colours at the same |w|, but at least this
-# share of their largest size over all |w|.
+# Smallest divisor of relative errors by truncating the functions of w, as a share of the largest size of the colours
+# over all |w|. Otherwise errors are relative to the size of the colours at the same |w|.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of wavelengths between two neighbouring rings at which the colour curves are sampled for the fit of splines.
+# Number of wavelengths from one ring to the next at which the colour curves are sampled, for the fit of splines.
 _SAMPLES_PER_NODE = 64
-# Lower limit of the scale of relative errors of fitted colour curves, as a share of a curve's largest value. The curves
-# themselves vanish at both ends of the spectrum.
+# Smallest divisor of relative errors in the fit of splines, as a share of the largest value of a colour curve.
+# Otherwise errors are relative to the values of the curve, which vanish at both ends of the spectrum.
 _LEAST_SCALE = 0.005
-# First number: cos θd of the reflectance that colour curves include. For other angles, the ratio to this reflectance is
-# approximated by a sum of products of a function of |(u, v)| and a function of λ and w. Second number: largest error of
-# this sum, as a share of the tolerance.
+# Colour curves include the reflectance of the material at one angle; the first number is its cos θd. The ratio of the
+# reflectance at other angles to this one is approximated by a sum of products: a function of |(u, v)| times a function
+# of λ and w. The second number is the largest error of this sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# Largest error of the polynomials in cos θd that approximate a reflectance, and smallest and largest number of their
-# Chebyshev nodes. Metals need the fewest nodes; thin films with resonances near the horizon need the most.
+# The reflectance is approximated by polynomials in cos θd through Chebyshev nodes. First number: largest error. Others:
+# smallest and largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon need
+# the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smallest reflectance in colour curves, relative to its largest value. Thin films reflect nothing at some wavelengths,
-# and ratios to a reflectance of 0 would be infinite.
+# Smallest reflectance in colour curves, as a share of the largest one; smaller ones are replaced by it. Thin films
+# reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
@@ -60,7 +62,7 @@ class SpectrumBasis:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Range of |κ|, smallest and largest [1/µm].
         sizes: Relative size of each term in typical rows, shape (terms,).
-        share: Truncation error of the expansion in functions of w, as a share of the tolerance.
+        share: Permitted error of truncating the functions of w, as a share of the tolerance.
         holds_lines: Whether rows are densities of spectral lines per unit area of frequency. Densities per unit area of
             (u, v) are smaller by the factor λ⁻².
     """
@@ -111,13 +113,13 @@ class Projection:
 def make_projection(
     plan: Plan, terms: SpectrumBasis, illuminated: IlluminatedMaterial, layout: MipLayout
 ) -> Projection:
-    """Return the weights that convert power spectra to colours, for the rings of a plan.
+    """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
     If the plan does not set the number of functions of w, the tolerance selects it. Because cos θd = |(u, v, w)|/2, the
     reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
     therefore includes it, and look-ups need no material.
     """
-    # The range of |w| for which the |κ| of all visible wavelengths are within the range of the basis.
+    # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis at all visible wavelengths.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
     weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
@@ -133,12 +135,12 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # The singular value decomposition is computed by the eigenvectors of a small matrix. NumPy's decomposition of the
-    # large matrix uses several threads, and is slow if other processes occupy the cores.
+    # The singular value decomposition of the matrix is computed by the eigenvectors of its small Gram matrix. NumPy's
+    # decomposition of the large matrix uses several threads, and is slow if other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of this array is the truncation error with the first n functions. The error is the largest one over all
+    # Entry n of `remaining` is the truncation error with the first n functions of w. It is the largest error over all
     # |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
@@ -152,22 +154,24 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include, a function of the wavelength only."""
-    # A material such as air reflects nothing; the divisor 1 avoids a division by zero.
+    """Return the reflectance of a material at the middle angle, limited from below, which colour curves include."""
+    # If the largest reflectance is 0, as for air, it is replaced by 1, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# The result does not depend on the illuminant or on the number of functions of w. Only the last result is cached.
+# Only the last result is cached. It does not depend on the illuminant or on the number of functions of w, so that
+# consecutive tables of one material share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
-    """Approximate the reflectance of a material, relative to that in the colour curves, by sums of separable terms.
+    """Approximate a material's reflectance, relative to that in the colour curves, by sums of separable terms.
 
-    The error is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the ratio hardly
-    changes, share one function of (w, λ).
+    A separable term is a factor for each ring of |(u, v)| times a function of (w, λ). The error is at most ``share``
+    for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the reflectance hardly changes, share one
+    function of (w, λ).
 
     Returns:
         Functions of (w, λ), each with its largest factor over all rings; and the terms of each octave.
@@ -188,7 +192,8 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # The outermost rings of the grid may be beyond the largest possible |(u, v)|, which is 2. They use the ratio at 2.
+    # The outermost rings of the grid may have a larger |(u, v)| than 2, which no direction has. The reflectance at 2 is
+    # used for them.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -197,7 +202,8 @@ def _material_products(
             octaves.append((shared,))
             continue
         values = ratio(uv).reshape(len(uv), -1)
-        # The singular value decomposition is computed by the eigenvectors of the smaller Gram matrix.
+        # The singular value decomposition of `values` is computed by the eigenvectors of its Gram matrix, which is
+        # smaller.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
         rank = 1
@@ -210,7 +216,7 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the tabulated |w| of a range, and the 1/λ [1/µm] of the rings that contribute to one colour."""
+    """Return equally spaced |w| from ``low`` to ``high``, and 1/λ [1/µm] of the rings that contribute to one colour."""
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
@@ -249,7 +255,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # The weights are scaled so that a constant power spectrum has its exact colour, up to rounding.
+    # A constant power spectrum must give the exact colour of white, up to rounding. The weights are scaled accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
@@ -262,12 +268,11 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
     count = ring_count(rings_per_octave)
-    # The fitted range extends beyond both ends of the visible range, because the outermost splines do. The curves are 0
-    # there.
+    # The splines at both ends extend beyond the visible range, and the fit includes these wavelengths. The colour
+    # curves are 0 there.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
-    # Colour curves are 0 outside of the visible range. Splines are functions of ln λ, so that dλ = λ d ln λ adds a
-    # factor λ.
+    # The curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
     curves = at[:, None] * np.stack([np.interp(at, VISIBLE_NM, c, left=0.0, right=0.0) for c in products.T], axis=1)
     size = np.linalg.norm(curves, axis=1)
     weights = 1.0 / np.maximum(size, _LEAST_SCALE * size.max())[:, None]

@@ -33,15 +33,16 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# Limits of decimation: a look-up with a wide footprint skips every second ring if the colour curves are smooth over ln
-# λ. Sums over every second ring alias one frequency over ln λ to 0. First number: largest Fourier transform of the
-# colour curves at that frequency, relative to 0. Second number: smallest distance of that frequency from the band of
-# the power spectrum, in standard deviations of the look-up's Gaussian. Third number: scale that disables decimation.
+# Decimation: a look-up with a wide footprint skips every second ring if the colour curves are smooth over ln λ. A sum
+# over every second ring confuses (aliases) one frequency over ln λ with a constant. First number: largest Fourier
+# transform of the colour curves at that frequency, relative to frequency 0. Second number: smallest distance of that
+# frequency from the band of the power spectrum, in standard deviations of the look-up's Gaussian. Third number: value
+# of the field `decimation_scale` that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# Number of wavelengths in the integral of the zeroth order, and number of cos θd at which the material's reflectance is
-# tabulated for it.
+# First number: wavelengths at which look-ups integrate the zeroth order. Second number: values of cos θd at which the
+# reflectance of the material is tabulated for this integral.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Limit: number of azimuth samples that a CPU thread processes at once.
+# Number of azimuth samples that a CPU thread processes in one launch while a table is computed.
 _AZIMUTHS_OF_SLICE = 32
 
 
@@ -61,7 +62,7 @@ class ColourTable:
 
     @forks.cached_property
     def struct(self) -> Any:
-        """Struct ``Colours`` that the kernels read."""
+        """Struct with the arrays and numbers of the table, which the kernels of look-ups read."""
         levels, device = self.layout.levels, self.fields["rows"].device
         result = self.kernels.Colours()
         result.first_rows = wp.array(self.layout.first_rows, dtype=wp.int32, device=device)
@@ -97,7 +98,10 @@ class ColourTable:
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
-        """Fill rows with spline coefficients of the values that ``compute`` writes for one octave of a mip level."""
+        """Fill the rows of some mip levels with spline coefficients.
+
+        ``compute`` writes the values of one octave of a level, through which the splines pass.
+        """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
         for level in levels:
@@ -120,7 +124,7 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # Another thread may change the same cache entry at any time, so that this function reads the entry only once.
+    # The cache entry is read only once, because another thread may replace it at any time.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -159,7 +163,8 @@ def _made(
         needed.append(spectrum_sampling.adder(count))
     load([*needed, kernels.blur] if has_mip_levels(plan) else needed, device)
     if samples is None:
-        # The spectrum is independent of the illuminant and the material. Only one spectrum is in memory at a time.
+        # The spectrum does not depend on the illuminant and the material, and is cached for further tables. The cache
+        # holds one spectrum, and is emptied before the next one is computed, to save memory.
         cache.spectra.clear()
         samples = source.sampled(**options)
         cache.spectra.put(source.key, samples)
@@ -188,19 +193,19 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of the struct ``Colours`` without those of the layout; the rows are not filled yet."""
+    """Return the values of the fields of the struct ``Colours``, except its layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # The lobes of a source have the same width in (u, v) at all wavelengths, so that a width per unit of wavelength is
-    # 0.
+    # ``lobe2`` is the variance of an order's lobe in frequency. For a source it is 0: its lobes have the same width in
+    # (u, v) at all wavelengths, and are described by ``spread2``.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Space for mip levels is allocated together with level 0. On the CPU, the space is not in memory until rows are
-    # written.
+    # Rows for all mip levels are allocated now, although only level 0 is filled. On the CPU, allocated rows occupy no
+    # memory until they are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -210,8 +215,8 @@ def _fields(
         "ring_of_one": -grid.log_radius * per_log,
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
-        # Smallest |(u, v)| of a look-up; smaller values are replaced by it. The spline of a look-up there also uses the
-        # next smaller ring.
+        # ``least_uv`` is the smallest |(u, v)| of a look-up; smaller values are replaced by it. It lies above the
+        # innermost ring, because the spline of a look-up also uses the next smaller ring.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

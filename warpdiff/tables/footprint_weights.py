@@ -18,20 +18,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# A look-up adds the blur that its mip level lacks. The first number is the number of tabulated blurs; the second is
-# their largest variance [squared distances of samples]. It must exceed 3 · 1.2²: the blur doubles from level to level,
-# and a level has at most 1.2 samples per standard deviation of its blur.
+# A mip level is blurred less than the footprint. The look-up adds the remaining blur by weights, which are tabulated.
+# First number: number of tabulated blurs. Second number: their largest variance [squared distances of samples]. It must
+# exceed 3 · 1.2²: the blur doubles from level to level, and a level has at most 1.2 samples per standard deviation of
+# its blur.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Typical blur of the spectrum in a mip level, as a standard deviation in distances of azimuth samples. In level 0, it
-# is from 0.9 to 2.1. Only the taps for spectra under a window use this number.
+# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
+# is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two samples for which tap weights are tabulated.
 _TAP_POSITIONS = 64
-# Long footprints are divided into parts. The number is the variance of one part times the number of parts, relative to
-# the variance of the whole footprint. If doubled, parts become 1.4 times as wide, and their linearisation in polar
-# coordinates becomes less accurate.
+# Variance of each part of a long footprint, times the number n of parts, relative to the variance of the whole
+# footprint. The footprint is represented by n narrower Gaussians. If doubled, parts become 1.4 times as wide, and polar
+# coordinates, which are linearised within a part, become less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 
 
@@ -51,7 +52,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """Return the struct ``FootprintTaps`` of the kernels for a tap rule, on the device with the name ``device``."""
+    """Return the struct ``FootprintTaps``, tables of weights for look-ups, for a tap rule and a device by its name."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -65,9 +66,8 @@ def footprint_taps(device: str, rule: TapRule) -> Any:
 def _parts(most: int) -> NDArray[np.float64]:
     """Return approximations of the standard normal distribution by sums of 1 … ``most`` narrower Gaussians.
 
-    For each number of summands, the result contains their variance, positions and weights, shape (most, 3, most).
-    Positions and weights are those of Gauss-Hermite quadrature, so that a sum of n Gaussians has the exact moments up
-    to 2n − 1.
+    The entry for each number of summands contains their variance, positions and weights; the result has the shape
+    (most, 3, most).
     """
     result = np.zeros((most, 3, most))
     for count in range(1, most + 1):
@@ -82,7 +82,8 @@ def _parts(most: int) -> NDArray[np.float64]:
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return tabulated tap weights, shape (variances, positions, most), and the number of taps for each variance.
 
-    The position is that of the Gaussian relative to the centre of the taps, from −1/2 to 1/2 distances of samples.
+    The tabulated positions are those of the centre of the Gaussian relative to the centre of the taps, from −1/2 to 1/2
+    distances of samples.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
@@ -97,9 +98,9 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return tap weights for spline coefficients: those of a Gaussian blur that is truncated at the outermost taps."""
-    # The spline is sampled up to 16 sample distances from its centre. The discrete Fourier transform is periodic, and
-    # even the widest Gaussian is negligible at the ends of this interval.
+    """Return the weights of spline coefficients that blur a spline by a Gaussian, truncated at the outermost taps."""
+    # The blur is computed by a discrete Fourier transform, which is periodic. The interval extends to 16 sample
+    # distances from the centre, where even the widest Gaussian is negligible.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))
@@ -108,13 +109,13 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return tap weights for spline coefficients: the least-squares fit for blurring a Gaussian spectrum.
+    """Return the weights of spline coefficients that best blur a spectrum which is itself a Gaussian.
 
-    The spectrum is a Gaussian with the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum approximates the
-    blurred Gaussian for all positions of its centre. The sum has the exact area, mean and variance.
+    The Gaussian has the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum of spline coefficients is fitted to
+    the blurred Gaussian by least squares over all positions of its centre. It has the exact area, mean and variance.
     """
-    # Right-hand side of the normal equations: the products of each spline coefficient and the blurred Gaussian,
-    # integrated over all positions of the Gaussian.
+    # The weights solve the normal equations of the fit. Their right-hand side contains the products of each spline
+    # coefficient and the blurred Gaussian, integrated over all positions of the Gaussian.
     inverse = _inverse_products(places.shape[1])
     weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]
@@ -126,9 +127,9 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 @functools.cache
 def _inverse_products(count: int) -> NDArray[np.float64]:
-    """Return the inverse of the normal equations' matrix for ``count`` taps.
+    """Return the inverse matrix of the normal equations for the weights of ``count`` taps.
 
-    Its entries are products of two spline coefficients, integrated over the position of the Gaussian.
+    The entries of the matrix are products of two spline coefficients of a Gaussian, integrated over its position.
     """
     order = np.arange(float(count))
     products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)
@@ -136,7 +137,7 @@ def _inverse_products(count: int) -> NDArray[np.float64]:
 
 
 def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return a normalised Gaussian with the variance ``variance``, convolved with a discrete filter, at positions."""
+    """Return a Gaussian with the area 1 and a given variance, convolved with a discrete filter, at positions ``at``."""
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))

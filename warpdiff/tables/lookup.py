@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of one look-up per function of w. Derived: three colour channels times 3 × 3 spline coefficients.
+# Multiply-adds of one look-up for each function of w. Derived: three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Limit: number of tables that a look-up caches for its callers, such as tables of skies. Two entries suffice for two
+# Number of tables that a `ColourLookup` caches for its callers, such as tables of skies. Two entries suffice for two
 # skies that alternate.
 _MOST_DERIVED = 2
-# Limit: number of look-ups in one slice, so that the arrays of a slice fit into the cache of a core.
+# Number of directions that a CPU thread looks up in one launch. Limit: their arrays fit into the cache of a core.
 _LOOK_UPS_OF_SLICE = 2048
 
 
@@ -67,7 +67,8 @@ class ColourLookup:
             illuminated: Illuminant, and the material of the surface.
             xyz: Array to which the XYZ are added, shape (n,).
             footprints: Footprint of each pixel in (u, v), for a plan with footprints.
-            among: Range of the indices to evaluate, which begins at a multiple of the batch size; None is all.
+            among: Range of the indices of the directions to evaluate; its start is a multiple of the batch size. None
+                is all directions.
             options: Options ``slice_size`` and ``progress`` of ``launch_pipeline``.
         """
         options.setdefault("slice_size", self.slice_size)
@@ -90,14 +91,14 @@ class ColourLookup:
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the table excludes directions, as tables of sources do; excluded directions sample wavelengths."""
+        """Whether the table excludes some directions, whose colours are then integrated over sampled wavelengths."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
 
     def kernel_calls(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
-        """Return the kernel calls of :meth:`accumulate`.
+        """Return the kernel calls that :meth:`accumulate` launches.
 
         The look-up writes the gains of directions that the table excludes into the array ``unserved_gain``, which has
         at least n entries; those directions then sample wavelengths. None allocates the array.
@@ -131,7 +132,8 @@ class ColourLookup:
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Return the kernel call that integrates over sampled wavelengths and adds the colours to ``xyz``."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # This object keeps a reference to the table, because the shared cache may discard its entry.
+        # The coefficient table is stored in an attribute of this object, because the shared cache may discard it
+        # between two calls.
         if self._table is None:
             self._table = coefficient_table.table_for(
                 heightfield, plan, self._range, device=device, threads=self._threads

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
     from warpdiff.request.plan import Plan
 
-# Largest distance of spectrum samples along the radius, in standard deviations of the spectrum's blur. Derived: a sum
-# of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the distance is
-# half as large and the variation is 1e-13.
+# Largest distance along the radius between samples of the spectrum, in standard deviations of its blur by the window.
+# Derived: a sum of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the
+# distance is half as large and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Limit: smallest number of spectrum samples from one ring to the next. A single sample integrates the spectrum between
-# rings inaccurately: the 99th percentile of the error was 7e-4 instead of 2e-5.
+# Smallest number of samples of the spectrum from one ring to the next. Limit: with a single sample, the integral
+# between rings is inaccurate; the 99th percentile of the error was 7e-4 instead of 2e-5.
 _FEWEST_DIVISIONS = 2.0
-# Radius of the innermost ring, in standard deviations of the spectrum's blur. Derived: within it, the spectrum deviates
-# from a constant by at most (1/50)²/2 = 2e-4.
+# Radius of the innermost ring, in standard deviations of the spectrum's blur by the window. Derived: within it, the
+# spectrum deviates from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
 # Standard deviation by which the lines of a source's spectrum are blurred in a table, in distances of azimuth samples.
 # Splines represent lines of this width accurately.
@@ -34,8 +34,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit: number of azimuth samples of a ring. Larger numbers would overflow 64-bit integers. Even a table of this size
-# raises ``MemoryError`` later.
+# Limit to which the number of azimuth samples of a ring is reduced. Limit: larger numbers would overflow 64-bit
+# integers. A table of this size is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 
@@ -43,9 +43,9 @@ _MOST_AZIMUTHS = 2.0**60
 class MipLayout:
     """Layout of a colour table: its grids, and the order of its rows (by level, then octave, azimuth and ring).
 
-    Ring i of |(u, v)| has the radius of ring i of the frequencies, times the longest visible wavelength. The colours of
-    one octave of |(u, v)| use the same octave of frequencies and the next one. The octave of |(u, v)| has as many
-    azimuth samples as that next octave of frequencies.
+    The grid of |(u, v)| has the radii of the grid of frequencies, times the longest visible wavelength. The colours of
+    one octave of |(u, v)| use the same octave of frequencies and the next one, and the octave has as many azimuth
+    samples as this next octave of frequencies.
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
@@ -70,10 +70,11 @@ class MipLayout:
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a window, under which the spectrum is smooth and can be sampled."""
+        """Return the layout of a table for a window. The spectrum is then smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings beyond its octave of frequencies, and the splines of a look-up two more.
+        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two more.
+        # The outermost octave of frequencies ends five rings beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -81,7 +82,7 @@ class MipLayout:
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.azimuths_per_width
         doublings = min(max(math.floor(math.log2(most / polar_grid.FEWEST_AZIMUTHS)), 0), octaves - 1)
-        # The projection processes four azimuth samples at once, so that their number is a multiple of 4.
+        # The number of azimuth samples is a multiple of 4, because the projection processes four of them at once.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), polar_grid.FEWEST_AZIMUTHS)
         azimuths = tuple((fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)).tolist())
         level0 = PolarGrid(rings, log_low - LOG_RED, azimuths[1:])
@@ -92,10 +93,10 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a source, whose spectrum is added to the azimuth samples of level 0 line by line."""
+        """Return the layout of a table for a source. Its spectrum is a sum of lines, which are added to the grid."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
-        # The spline of a look-up at the largest frequency also uses the rings beyond it.
+        # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
         top = math.log(highest) + LOG_RED - LOG_BLUE + 3.0 * step
         low = math.log(inner_radius(plan.coherence)) + LOG_RED - 4.0 / polar_grid.INNER_RADIUS_SPREADS
         octaves = max(math.ceil((top - low) / math.log(2.0)), 1)
@@ -114,8 +115,8 @@ class MipLayout:
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # In an octave, the blur stops growing at ``_WIDEST_BLUR_RAD``; all further mip levels of the octave are
-            # equal.
+            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. All further levels of this
+            # octave are equal.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -132,7 +133,7 @@ class MipLayout:
 
     @property
     def rows(self) -> int:
-        """Total number of rows, including copies of the first and last azimuth samples beyond both ends of a circle."""
+        """Total number of rows, including the azimuth samples that are repeated at both ends of each ring."""
         return sum(self._row_counts)
 
     @property
@@ -141,14 +142,15 @@ class MipLayout:
 
     @property
     def samples(self) -> int:
-        """Number of spectrum samples from which the grid of frequencies is computed."""
+        """Number of samples of the spectrum that are computed for the grid of frequencies."""
         grid = self.spectrum
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the most blurred of the finer mip levels from which a blur can compute one octave of ``level``.
+        """Return the finer mip level from which one octave of ``level`` is computed, by a further blur.
 
-        The standard deviation of that blur must be at least the distance of azimuth samples in the finer level.
+        It is the most blurred level for which the standard deviation of the further blur is at least the distance of
+        azimuth samples.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
@@ -162,7 +164,7 @@ def has_mip_levels(plan: Plan) -> bool:
 
 
 def megabytes(plan: Plan) -> float:
-    """Return the size of a plan's table [MB]; an unset number of functions of w is estimated by the number of terms."""
+    """Return the size of a plan's table [MB]; an unset number of functions of w counts as that of the terms."""
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 
 

@@ -1,9 +1,9 @@
 """Polar grids of (u, v) and of frequencies, and the sizes of colour tables on them.
 
 The power spectrum under an averaged or centred window is smooth: its Fourier transform is the autocorrelation of the
-surface times exp(−r²/4σ²). A table over logarithmic polar coordinates resolves it. Such a table contains the integral
-over λ of any number of orders, for every light and view. ``colour_table`` computes it once per height field and
-coherence.
+surface times exp(−r²/4σ²). A table over logarithmic polar coordinates (rings with equal ratios) resolves it. Such a
+table contains the integral over λ of any number of orders, for every light and view. ``colour_table`` computes it once
+per height field and coherence.
 
 A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. The table of a source contains
 spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Tables of sources
@@ -28,32 +28,32 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Limit: smallest number of azimuth samples of a ring.
+# Smallest number of azimuth samples of a ring.
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Factor by which tables of sources have more azimuth samples than other tables. More samples reduce the blur of the
-# table, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the factor.
+# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
+# itself, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Limit: smallest |(u, v)| of table look-ups under a source, in standard deviations of the source. Nearer to the mirror
-# direction, a polar blur is inaccurate: at a quarter of this limit, the median error was 4e-2.
+# Smallest |(u, v)| that tables of sources serve, in standard deviations of the source. Nearer to the mirror direction,
+# a blur in polar coordinates is inaccurate: at a quarter of this limit, the median error was 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
 )
-# Sizes of tables: rings per octave, and azimuth samples per standard deviation of the spectrum's blur. Both numbers of
-# a pair cause errors of similar size.
+# Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
+# The numbers of a pair cause errors of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
-# Order of convergence: the error of a table is proportional to the number of rings to the power of minus this number.
+# Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
 ERROR_ORDER = 2.0
-# Distance of two neighbouring orders beyond which they count as separate, in standard deviations of the spectrum's
-# blur.
+# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of an order in
+# the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
-# Expected error of a table for skies, as a share of the tolerance; the random scatter of the sky samples needs the
-# rest. Fitted: at a tolerance of 0.1, colours under a smooth sky at 80° have an error of 2.4 % with a share of 1, and
-# below 2 % with this share.
+# Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
+# random scatter of the sky samples. Fitted: at a tolerance of 0.1, colours under a smooth sky at 80° have an error of
+# 2.4 % with a share of 1, and below 2 % with this share.
 _SHARE_OF_SKIES = 1.0 / 3.0
-# Limit: largest size of a table [MB]. Larger tables require more time to compute than they save.
+# Largest size of a colour table [MB]. Limit: larger tables require more time to compute than they save.
 MOST_MEGABYTES = 300.0
 
 
@@ -75,7 +75,7 @@ class PolarGrid:
 
     @property
     def nodes(self) -> int:
-        """Number of samples on all rings."""
+        """Total number of samples of the grid, on all rings."""
         return self.rings * sum(self.azimuths)
 
     @property
@@ -104,12 +104,12 @@ class PolarGrid:
 
 
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
-    """Return the number of samples on circles, a multiple of 4: ``per_width`` samples per lobe width ``width``."""
+    """Return the number of azimuth samples on rings of given radii, a multiple of 4, for lobes of a given width."""
     return np.asarray(np.maximum(4.0 * np.ceil(2.0 * math.pi * radii / width * per_width / 4.0), FEWEST_AZIMUTHS))
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| that a table can serve: 0 for windows, and a multiple of the spread for a source."""
+    """Return the smallest |(u, v)| that a table serves: 0 for windows, and a multiple of the spread for a source."""
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
@@ -126,12 +126,12 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a table's colours, for surfaces with many orders or with a few separate ones."""
+    """Return the typical error of a table's colours; ``few_orders`` is for surfaces with few, separate orders."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
 def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
-    """Whether a patch is so small that neighbouring orders of its spectrum do not overlap."""
+    """Whether neighbouring diffraction orders do not overlap in the spectrum, because the patch is small."""
     lengths = [length for n, length in zip(heightfield.shape, heightfield.size_um, strict=True) if n > 1]
     return max(lengths, default=0.0) * _ORDERS_APART_SIGMAS * blur(coherence) < 1.0
 
@@ -143,7 +143,7 @@ def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
 
 
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
-    """Return the smallest table size whose typical error is within a share of a plan's tolerance, or None."""
+    """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None."""
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)
 

@@ -34,21 +34,20 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Smallest |κ| of the basis, relative to the largest |κ|. At smaller |κ|, all orders except the zeroth one are
-# negligible.
+# Smallest |κ| of the basis of a spectrum, as a share of its largest |κ|. At smaller |κ|, all orders except the zeroth
+# one are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Limits on the error of truncating the functions of w, as shares of the tolerance. The first is for a basis of powers.
-# The second is for cardinal polynomials in |κ|: their sums may be much smaller than the single terms, so that this
-# limit is stricter.
+# Permitted errors of truncating the functions of w, as shares of the tolerance. First number: for a basis of powers.
+# Second number: for cardinal polynomials in |κ|, whose sums may be much smaller than their single terms.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# Number of coefficients from which the typical size of each basis term is estimated, and the smallest size that a term
-# is assumed to have, relative to the largest term.
+# First number: coefficients from which the typical size of each basis term is estimated. Second number: smallest size
+# that a term is assumed to have, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
-# Number of |κ| at which the power of the zeroth order is tabulated.
+# Number of values of |κ| at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
 # Peak memory while spectral lines are listed [bytes per line], counted from the code.
 _BYTES_PER_LINE = 80.0
-# Distance in angle at which the Gaussian blur of a line is truncated, in standard deviations.
+# Distance in angle at which the Gaussian blur of a spectral line is truncated, in standard deviations of the blur.
 _LINE_RADIUS_SIGMAS = 4.5
 
 
@@ -75,17 +74,17 @@ class SpectrumKey:
 
 @dataclass(frozen=True, eq=False)
 class SpectrumSource(ABC):
-    """Description of the power spectrum from which a colour table is projected, without its samples.
+    """Description of the power spectrum of a height field, from which a colour table is computed, without its samples.
 
     Attributes:
         key: Cache key of the spectrum.
         layout: Grids of the table, with mip level 0 only.
         table: Table of coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: For amplitudes, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes). The
-            powers at these |κ| form a row of the spectrum. Zeros for powers.
-        zeroth: Zeroth order, which is stored separately. If its array of powers is empty, the rows include the zeroth
-            order.
+        at_kappas: Where amplitudes add: basis functions of the coefficients at several |κ|, shape (number of |κ|,
+            lanes). The powers at these |κ| form a row of the spectrum. Where powers add: zeros.
+        zeroth: Zeroth order, which is stored separately from the rows. Where amplitudes add, its array of powers is
+            empty, and the rows include it.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
         projections: Projections that were computed already, by illuminant and material.
     """
@@ -104,11 +103,11 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernels that :meth:`sampled` and :meth:`projector` launch."""
+        """Return all kernels that sample the spectrum and project it to colours, so that callers can load them."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
-        """Sample the spectrum, independently of the illuminant and the material."""
+        """Return the samples of the spectrum, which do not depend on the illuminant and the material."""
 
     @abstractmethod
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
@@ -136,7 +135,7 @@ class SpectrumSource(ABC):
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types that project rows of the spectrum to a number of functions of w."""
+        """Return the kernels and types that convert rows of the spectrum to colours with a number of functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
@@ -171,10 +170,10 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects the spectrum samples of one octave together with those of the next octave."""
+        """Return a function that projects samples of the spectrum, in one octave and the next one, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Scratch space in which each azimuth sample has room for its rings of both octaves. On the CPU, a slice of
-        # azimuth samples uses only the room of its first ones. The rest is allocated but never in memory.
+        # Working memory in which each azimuth sample has room for its rings of both octaves. On the CPU, the threads
+        # use only the beginning of it, and the rest occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -200,8 +199,8 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Number of table entries to which each spectral line is added, in the cost model. Derived: 2 × 7 azimuth samples times
-# 3 rings.
+# Number of table entries to which each spectral line is added; the cost model uses it. Derived: 2 × 7 azimuth samples
+# times 3 rings.
 NODES_OF_LINE = 42.0
 
 
@@ -215,11 +214,11 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that adds lines to azimuth samples, and the kernel that projects the sums."""
+        """Return the kernel that adds lines to azimuth samples, and the kernel that projects the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
-        """Return the lines up to the largest frequency of a look-up; :meth:`projector` adds them to the grid."""
+        """Return the lines up to the largest frequency of a look-up; they are not added to a grid yet."""
         arguments, highest = self.table.arguments, self.layout.highest
         lengths = arguments.length_y, arguments.length_x
         most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
@@ -231,8 +230,8 @@ class LineSpectrum(SpectrumSource):
         qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
         squared = qy**2 + qx**2
         inside = (squared <= highest**2) & (squared > 0.0)
-        # Frequencies beyond the Nyquist limit of the pitch have coefficients too: the coefficients of a sampled surface
-        # are periodic in the frequency.
+        # The coefficients of a sampled surface are periodic in the frequency. Lines beyond the Nyquist limit of the
+        # pitch therefore use the coefficients of lower frequencies.
         rows = (s + arguments.origin_y) % arguments.count_y
         columns = (r + arguments.origin_x) % arguments.count_x
         coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
@@ -241,7 +240,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of one octave and of the rings beyond it to the grid, and projects."""
+        """Return a function that adds the lines of one octave to a grid and projects the sums to colours."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -252,8 +251,8 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # The blur of lines near the angles 0 and 2π extends beyond the other end. Copies of these lines are
-            # therefore added there.
+            # Angles are periodic: the blur of a line near the angle 0 extends to angles below 2π, and vice versa.
+            # Copies of such lines are therefore added at the other end.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
@@ -318,9 +317,10 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         power = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
-        # Where amplitudes add, the zeroth order interferes with other orders and has no separate power.
+        # Where amplitudes add, the zeroth order interferes with other orders and has no power of its own, so that the
+        # array is empty.
         power = np.zeros(0, dtype=np.float32)
-        # The number of Chebyshev nodes follows from the oscillations of a power over the range of κ.
+        # The number of Chebyshev nodes over κ follows from how fast a power oscillates over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
@@ -337,7 +337,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the root mean square of each basis term, relative to its row's norm; ``rows`` has (my, mx, terms)."""
+    """Return the root mean square of each basis term in the rows, each row divided by its norm, shape (terms,)."""
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)

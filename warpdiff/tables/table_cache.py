@@ -1,4 +1,4 @@
-"""Cache of the most recently used tables of each height field; deleted together with the height field.
+"""Cache of the tables of each height field that were used last. It is deleted together with the height field.
 
 Pictures with moving lights or cameras reuse the same tables. A search for a plan tries tables of a few sizes, which the
 cache keeps for later calls. Keys are frozen dataclasses of everything on which a table depends, except the heights.
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Limits per height field. First number: cached entries of each kind, except colour tables. Second number: total size of
-# the cached colour tables [bytes]. Memory is proportional to these limits.
+# Limits of the cache of a height field. First number: entries of each kind, except colour tables. Second number: total
+# size of the colour tables [bytes]. Memory is proportional to these limits.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 
@@ -30,7 +30,7 @@ class TableCache:
 
     Attributes:
         coefficients: Coefficients on the host.
-        fitted_to: Series to which the last basis was fitted; deleted when a caller requests another series.
+        fitted_to: Series to which the last basis was fitted. It is deleted when another series is computed.
         rows: Rows and basis of coefficients on devices.
         sources: Descriptions of the power spectra for colour tables, without samples.
         spectra: Samples of the last spectrum, from which tables for other illuminants and materials can be computed.

@@ -1,6 +1,7 @@
 """Zeroth order of a height field: the reflection of its mean plane, which colour tables store separately.
 
-The lobe of the zeroth order is narrower than the spacing of a table's rings, but it has a closed form.
+The lobe of the zeroth order is narrower than the spacing of a table's rings, so that rows cannot represent it, but it
+has a closed form.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Limit: number of height levels in the histogram from which the zeroth order is computed. With this number, phases have
-# an error of 1e-4 rad.
+# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases of
+# heights have an error of at most 1e-4 rad.
 _HEIGHTS = 65_536
 
 
@@ -68,7 +69,10 @@ class ZerothOrder:
 
 
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate linearly between equally spaced rows, shape (n, m), at positions from 0 (first row) to 1 (last)."""
+    """Interpolate linearly between equally spaced entries.
+
+    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last one.
+    """
     at = shares * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)
     t = (at - first)[:, None]

@@ -59,7 +59,10 @@ def bsdf_of(path, variant, **options):
 
 
 def interaction(count=None, to_light=LIGHT):
-    """Return one or ``count`` surface interactions with a direction to the light and the four ``WAVELENGTHS``."""
+    """Return Mitsuba's record of one surface hit, or of ``count`` hits, with the direction to the light.
+
+    In spectral variants, the record has the four ``WAVELENGTHS``.
+    """
     si = mi.SurfaceInteraction3f() if count is None else dr.zeros(mi.SurfaceInteraction3f, count)
     si.wi = mi.Vector3f(*map(float, to_light))
     if mi.is_spectral:
@@ -77,8 +80,8 @@ def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     context, si = mi.BSDFContext(), interaction()
     result = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
     relative = np.abs(result - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
-    # The accuracy of the baked spectrum is limited, because its cells are as wide as a quarter of the lobe's standard
-    # deviation.
+    # The baked spectrum is blurred, because its cells are as wide as a quarter of the lobe's standard deviation. Errors
+    # of 5 % are therefore allowed.
     assert np.percentile(relative, 95.0) < 0.05
 
 

@@ -79,7 +79,7 @@ def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # The direction to the disc light rotates about +x by the same quarter turn.
+    # In the same sweep, the direction to the disc light rotates about +x by a quarter turn.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
@@ -142,7 +142,10 @@ def test_a_path_is_read_from_a_file(tmp_path):
 
 
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
-    """Frames under all kinds of light equal those of ``shade``, also from a worker. Shots store no arrays of skies."""
+    """Frames under all kinds of light equal those of ``shade``, also if a worker process renders them.
+
+    All shots share the arrays of a sky.
+    """
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
     # The power of the disc light makes it about as bright as the sky.
@@ -164,7 +167,8 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sequence with a different sky image, or with a minimally different rotation, is another sequence.
+    # A sequence with another sky image, or with the next larger or smaller rotation of the sky, is another sequence. It
+    # must not be mixed with the first one.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):
@@ -177,7 +181,7 @@ def test_frames_equal_those_of_the_renderer_at_one_exposure(renderer, tmp_path):
     shares = []
     paths = wd.sequence(renderer, shots, tmp_path / "turn", formats=[".png", ".exr"], progress=shares.append)
     assert [each.name for each in paths] == [f"frame_{k:04d}{end}" for end in (".png", ".exr") for k in range(5)]
-    # ``progress`` is called during each frame and after it.
+    # ``progress`` is called during each frame and after each frame.
     assert shares == sorted(shares)
     assert len(shares) > 6
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -208,7 +212,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     with pytest.raises(KeyboardInterrupt):
         wd.sequence(renderer, shots, folder, progress=interrupt)
     assert len(list(folder.glob("frame_*"))) == 4
-    # Of the four stored frames, one is truncated, and another has a wrong picture size. Both must be rendered again.
+    # One of the four stored frames is truncated, and another one has a wrong picture size. Both must be rendered again.
     (folder / "frame_0001.png").write_bytes(whole[1][:-20])
     Image.new("RGBA", (4, 4)).save(folder / "frame_0002.png")
     drawn = []
@@ -219,7 +223,7 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
         return draw(self, lights, view, **options)
 
     monkeypatch.setattr(wd.Renderer, "draw", recorded)
-    # The sequence is resumed with a copy of the renderer, as in another process.
+    # A copy of the renderer resumes the sequence, as if another process did.
     paths = wd.sequence(pickle.loads(pickle.dumps(renderer)), shots, folder)  # noqa: S301 (pickled in this line)
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole

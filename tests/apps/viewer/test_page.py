@@ -60,7 +60,10 @@ class Viewer:
 
 @pytest.fixture(scope="module", autouse=True)
 def _default_interruption():
-    """Set the default handler: programs such as nohup ignore the signal, and the servers inherit that."""
+    """Give SIGINT Python's default handler during the test.
+
+    Programs such as nohup ignore SIGINT, and a server would inherit this setting and could not be interrupted.
+    """
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -199,7 +202,7 @@ def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
     ):
         page.set(name, value)
         pixels = page.rest()
-        # The pigment only changes meshes with a base colour, and the test mesh has none.
+        # The pigment only changes meshes with a base colour. The test mesh has none, so its picture must not change.
         assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)
@@ -382,7 +385,8 @@ def test_the_page_reconnects_to_a_restarted_server(chromium, served):
     made.set("azimuth_deg", 10)
     assert changed(made.rest(), before) > 0.01
     server.end()
-    # The browser logs refused connections while no server runs.
+    # While no server runs, the browser logs refused connections. These lines are removed from the console, which must
+    # otherwise be empty.
     made.console = [line for line in made.console if "ERR_CONNECTION_REFUSED" not in line]
     made.close()
 

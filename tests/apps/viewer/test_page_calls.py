@@ -117,7 +117,7 @@ def test_python_and_command_line_have_the_same_arguments(files, monkeypatch):
         assert by_python(lines) == by_command(command, monkeypatch), command
 
 
-def test_a_further_option_of_pictures_reaches_both_texts(monkeypatch):
+def test_a_new_option_of_pictures_appears_in_python_lines_and_in_the_command(monkeypatch):
     def described(owner):
         options = describe(owner)
         if owner is not viewer_controls.PictureSettings:
@@ -161,7 +161,7 @@ def test_a_clear_sky_needs_no_file():
     assert Scene.of(VALUES, NamedFiles()).sky is None
 
 
-def test_scenes_are_written_as_they_are_made():
+def test_python_lines_and_the_command_describe_the_scene_that_the_viewer_renders():
     scene = Scene.of(VALUES | {"coherence": "source", "masking": False, "material": "mirror"}, NamedFiles())
     _, _, lights, view, options = by_python(scene.python(VIEW, 0.5, {}))
     assert (lights, view) == ([scene.light.make()], VIEW)
@@ -197,7 +197,7 @@ def test_lights_of_a_scene_are_directional_or_points_and_have_a_size():
     assert words[words.index("--light") + 1] == f"point:position={position},illuminant=A,power=36.0"
 
 
-def test_metals_of_a_scene_are_written():
+def test_python_lines_and_the_command_name_the_metal_of_a_scene():
     scene = Scene.of(VALUES | {"material": "Au", "ior": 2.0}, NamedFiles())
     assert scene.shading["material"] == wd.Material.metal("Au")
     assert "material=wd.Material.metal('Au')" in scene.python(VIEW, 0.5, {})
@@ -206,7 +206,7 @@ def test_metals_of_a_scene_are_written():
     assert "--ior" not in words
 
 
-def test_calls_are_made_as_they_are_written():
+def test_a_call_as_python_text_gives_the_same_object_as_its_execution():
     call = Call("rotated", (1,), (), Call.of("HeightField", ((0.0, 0.1),), 0.5))
     assert str(call) == "wd.HeightField(((0.0, 0.1),), 0.5).rotated(1)"
     np.testing.assert_array_equal(call.make().heights_um, eval(str(call)).heights_um)  # noqa: S307 (the tested text)

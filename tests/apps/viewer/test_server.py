@@ -209,7 +209,8 @@ def test_invalid_values_are_reported_only_to_their_page():
             before = len(studio.requests)
             page.send(draw(**case))
             page.send(draw(generation=7))
-            # ``case`` may be an invalid request. The server must still accept the valid request that follows it.
+            # ``case`` is a request whose values may be invalid. The server must still accept the valid request that
+            # follows it.
             give_up = time.monotonic() + 5.0
             while time.monotonic() < give_up and not (
                 len(studio.requests) > before and studio.requests[-1].generation == 7
@@ -218,7 +219,8 @@ def test_invalid_values_are_reported_only_to_their_page():
             assert studio.requests[-1].generation == 7, case
             refused += len(studio.requests) == before + 1
             if len(studio.requests) > before + 1:
-                # If the server accepted ``case``, its values must be among those that the controls allow.
+                # If the server accepted ``case``, the values of the request must be among those that the controls
+                # allow.
                 values = studio.requests[before].values
                 assert checked(KNOWN, values) == values
         assert refused > 0.75 * len(cases)

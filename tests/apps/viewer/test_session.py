@@ -60,7 +60,7 @@ def is_last(message):
     return message.get("last") is True
 
 
-def test_pictures_get_finer_at_rest_and_are_the_renderer_s(studio):
+def test_pictures_get_finer_at_rest_and_the_last_equals_that_of_the_renderer(studio):
     with Page(studio) as page:
         studio.request(page.session, page_request(1, tolerance=0.03, energy="normalised"))
         messages = page.until(lambda message: message["kind"] == "map")
@@ -170,7 +170,10 @@ def test_a_click_in_a_finished_picture_reports_angles_without_rendering(studio):
 
 
 def delayed(is_delayed):
-    """Return a ``Renderer.draw`` whose first refined picture waits until cancelled, and a queue of begun views."""
+    """Return a replacement of ``Renderer.draw``, whose first refined picture waits until it is cancelled.
+
+    Also return a queue of the views whose pictures have begun.
+    """
     draw, begun = wd.Renderer.draw, queue.Queue()
 
     def slow(self, light, view, *, progress, previews=None):
@@ -205,7 +208,7 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
     with Page(studio) as page:
         studio.request(page.session, page_request(1))
         page.until(is_last)
-        # Very short time limits for previews have the effect of a slow machine.
+        # Very short time limits for previews have the same effect as a slow machine.
         for name in ("_MOVING_S", "_LEAST_MOVING_S"):
             monkeypatch.setattr(f"warpdiff.apps.viewer.session.{name}", 1e-6)
         for generation in range(2, 10):

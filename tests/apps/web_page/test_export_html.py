@@ -240,8 +240,10 @@ def test_without_webgl_2_a_message_is_shown(page, chromium):
 @pytest.mark.parametrize(
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
-def test_mirrored_textures_facets_and_two_lights(reflection, material, skin, chromium, tmp_path):
-    """A page may have mirrored textures, facets and several lights, which the other tests do not use."""
+def test_mirrored_textures_facets_and_two_lights_are_shown_as_by_shade(reflection, material, skin, chromium, tmp_path):
+    """Mirrored textures, facets and several lights, which the other tests do not use, are rendered by the page as by
+    ``shade``.
+    """
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0
     view = wd.View((0.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=8, width=64, height=48)

@@ -32,14 +32,14 @@ from warpdiff.core.wording import ArgumentValueError, ref
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# Probabilities of drawing from each sampling density; they only change the noise. The first is that of a uniform
-# density over the disc of the table's coordinates, which avoids missed lobes. The other two are the bounds of the
-# probability of the zeroth order's lobe.
+# Probabilities with which outgoing directions are drawn in each way; they only change the noise. First number:
+# uniformly over the disc of the table's coordinates, so that no lobe is missed. Second and third number: least and
+# largest probability of drawing from the lobe of the zeroth order.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 # Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
 _SIZE = 1024
-# Value of κ, as a fraction of its range, and value of w at which a table is evaluated to obtain the sampling
-# probabilities of its cells. Limits: they only change the noise.
+# The sampling probabilities of a table's cells are its powers at one κ, or its colours at one w. First number: this κ,
+# as a fraction of its range. Second number: this w. They only change the noise.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
 # Smallest cosine of the angle between a direction and the normal; for smaller cosines the BSDF is 0. Limit: the
 # geometry factor diverges at the horizon.
@@ -132,7 +132,7 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the coordinate from 0 to 1 of a value of κ or w in a texture of ``entries`` texels."""
+        """Return the texture coordinate, 0 to 1, at which a texture of ``entries`` texels stores a value of κ or w."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
@@ -247,7 +247,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             self.m_flags = flags
 
         def _scales(self, si: Variant) -> list[Variant]:
-            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm; 1 for colours."""
+            """Return the factors from grid coordinates to (u, v): the ray's wavelengths in µm, or 1 in RGB variants."""
             if not spectral:
                 return [mi.Float(1.0)]
             return [1e-3 * si.wavelengths[k] for k in range(dr.size_v(mi.Spectrum))]

@@ -67,7 +67,7 @@ def _opened(path: Path) -> Image:
 
 
 class _Opened:
-    """Sequence of frames that opens one file at a time. Some of Pillow's writers iterate over the frames twice."""
+    """Sequence of frames that opens one file at a time. It can be iterated twice, as some writers of Pillow do."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths

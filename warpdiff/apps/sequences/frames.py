@@ -69,11 +69,11 @@ class FrameRenderer:
         return self.renderer.image()
 
     def _transient(self, light: Light) -> Light:
-        """Return a copy of an environment light, and other lights unchanged.
+        """Return a copy of an environment light; return other lights unchanged.
 
-        An environment keeps its device arrays of 14 MB as long as it exists, and the shots exist during the whole
-        sequence. Their environments are therefore not used themselves. Only the last few copies exist, and their arrays
-        are freed with them.
+        An environment keeps device arrays of 14 MB as long as it exists. The environments of the shots exist during the
+        whole sequence, so their copies are rendered instead. Only the last few copies are kept, and the arrays of older
+        copies are freed.
         """
         if not isinstance(light, Environment):
             return light
@@ -152,8 +152,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # All workers with the pickle are lost. Dask cannot recompute scattered data, so that the next attempt sends
-            # the pickle again.
+            # At this point, no worker has the pickle any more. Dask cannot recompute data that was sent from here, so
+            # that the next attempt sends the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

@@ -42,7 +42,7 @@ class Rotation:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """Matrix of the rotation about a parallel axis through the origin, by Rodrigues' formula, shape (3, 3)."""
+        """Rotation matrix, shape (3, 3), by Rodrigues' formula; it applies to directions."""
         x, y, z = self.axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         return np.asarray(np.eye(3) + math.sin(self.angle) * cross + (1.0 - math.cos(self.angle)) * cross @ cross)
@@ -54,8 +54,8 @@ class Rotation:
         return tuple(self._rotated(light, f"lights[{index}]") for index, light in enumerate(lights))
 
     def _rotated(self, light: Light, name: str) -> Light:
-        # Subclasses of these lights are rejected: they may have additional directions, which this method would not
-        # rotate.
+        # Only the known classes of lights are accepted, not their subclasses, which may have additional directions that
+        # this method would not rotate.
         if type(light) is DirectionalLight:
             return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
         if type(light) is PointLight:
@@ -78,7 +78,7 @@ class Rotation:
 
 
 def direction_of(light: Light, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit vector from the point ``centre`` to the first light, which ``light_sweep`` moves."""
+    """Return the unit vector from the point ``centre`` to the first of the lights."""
     if isinstance(light, DirectionalLight):
         return np.array(light.to_light)
     if isinstance(light, PointLight):

@@ -190,7 +190,7 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings, heightfield = state["settings"], state["heightfield"]
-    # Tolerance, method and integration need no hash, because the plan that was computed from them has one.
+    # Tolerance, method and integration are not hashed themselves. The plan is hashed, and it was computed from them.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})
@@ -284,7 +284,7 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
     for shot in chosen:
         image = small.draw(Shot(shot.lights, dataclasses.replace(shot.view, width=width, height=height)))
         report(0.0)
-        # A black picture has no automatic exposure and is left out of the mean.
+        # A black picture has no automatic exposure and is excluded from the mean.
         if image.xyz[..., 1].max(initial=0.0) > 0.0:
             logarithms.append(math.log(image.auto_exposure))
     mean = math.exp(sum(logarithms) / len(logarithms)) if logarithms else 1.0

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 BODIES = {"snake": "snake", "tube": "tube", "disc": "disc"}
-# Long bodies, on which the height field's x axis can point around or along the body.
+# Names of long bodies, on which the height field's x axis can point around the body or along it.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {
     "fingers": "nano-fingers", "bumps": "bumps", "sinusoidal": "sinusoidal", "lamellar": "lamellar", "blazed": "blazed",
@@ -40,15 +40,15 @@ METALS = {
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Options of pictures for which the page has no control of the same name.
+# Options of pictures that have no control of the same name on the page.
 EXCLUDED = (
-    # Several other controls set these options: those of coherence, of the material, and of the height field's x axis.
+    # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
     *("coherence", "material", "tangents"),
-    # The command line that starts the viewer sets these options.
+    # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
-    # The viewer sets these options itself: it refines a picture in stages until the tolerance is met.
+    # Options that the viewer sets itself, because it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
-    # The planner selects these options from the tolerance and the coherence.
+    # Options that the planner selects from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
 )
 _SKY = "Environment"
@@ -61,7 +61,7 @@ _TOLERANCES = {0.1: "1e-1", 0.03: "3e-2", 0.01: "1e-2"}
 _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clipped"}
 # Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
-# Words for those arguments of the library that no control sets. Error messages on the page print these words.
+# Texts by which error messages on the page name the arguments of the library that no control sets.
 _WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
 _UNITS = {"um": "µm", "deg": "°"}
 # Lowest value, highest value and step of a slider; None is no slider.
@@ -228,8 +228,8 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # Disc lights of a larger diameter are not offered. They consist of several lobes, which previews show as
-        # separate highlights.
+        # Wider disc lights are not offered, because one Gaussian lobe, with which previews are drawn, cannot
+        # approximate them.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
@@ -263,9 +263,9 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control for a value that is no option of the library: a choice (with ``labels``), a flag or a number.
+    """Return a control for a value that is no option of the library: a choice, a flag or a number.
 
-    The default of a choice is its first value.
+    It is a choice if ``labels`` are given, and the first of them is the default.
     """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
@@ -273,14 +273,14 @@ def _own(name: str, group: str, label: str, text: str, default: Any = None, unit
 
 
 def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more: Any) -> Control:
-    """Return the control of an argument of gratings, shown only if one of the gratings ``kinds`` is selected."""
+    """Return the control of an argument of synthetic gratings. The page shows it while one of ``kinds`` is selected."""
     option = describe(getattr(gratings, kinds[0]))[argument]
     more = {"name": f"{kinds[0]}_{argument}"} | more
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
 
 
 def _further(known: set[str]) -> list[Control]:
-    """Return controls for the flags, choices and bounded numbers among the options of pictures not in ``known``."""
+    """Return controls for those flags, choices and bounded numbers of pictures whose names are not in ``known``."""
     result = []
     for option in describe(PictureSettings).values():
         slider: Slider = None
@@ -331,8 +331,8 @@ def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # If the library's default is None, the control's default is compared instead; it is the value that the
-            # library uses for None.
+            # Arguments that have their default value are omitted from the call. If the library's default is None, the
+            # control's default is compared, because it is the value that the library uses for None.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}

@@ -141,7 +141,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the view of a page's full-size picture: the request's camera, or else the body's initial view."""
+    """Return the camera of a page's full-size picture: that of the request, or else the initial camera of the body."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

@@ -154,9 +154,10 @@ class Scene:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
-        """Return the scene that checked values of the controls describe.
+        """Return the scene that the checked values of the controls describe.
 
-        In this scene, a directional light stands for a point light, until :meth:`placed` replaces it.
+        If the selected light is a point light, this scene has a directional light instead. :meth:`placed` replaces it,
+        once centre and radius of the body are known.
         """
         known = files.controls
         mesh, tangents = _mesh(values, files)
@@ -282,13 +283,13 @@ def _further(view: wd.View) -> dict[str, Any]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield a value as words of a command line. Numbers have no exponents, which argparse rejects if negative."""
+    """Yield a value as words of a command line. Numbers have no exponents, because argparse takes -1e-3 for a flag."""
     for element in value if isinstance(value, tuple) else (value,):
         yield np.format_float_positional(element, trim="0") if isinstance(element, float) else str(element)
 
 
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield options as words of a command line. A call, for example that makes a material, yields its arguments."""
+    """Yield options as words of a command line. For a value that is a call, such as a material, yield its arguments."""
     for name, value in options.items():
         flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):
@@ -349,7 +350,10 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
 
 
 def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the selected body, and the world direction of the height field's x axis; None if texture gives it."""
+    """Return the selected body, and the world direction of the height field's x axis.
+
+    The direction is None if the texture coordinates of the body determine it.
+    """
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
     unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

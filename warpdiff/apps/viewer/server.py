@@ -99,7 +99,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # If the drawing thread or the server failed to start, its exception is raised here.
+        # If the drawing thread or the server could not start, this loop raises its error.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -131,7 +131,8 @@ class ViewServer:
             self.token = secrets.token_urlsafe(16)
         self._pages = 0
         self._logger = logging.getLogger("warpdiff.view")
-        # By default, websockets would log a traceback for each malformed request.
+        # The logger prints nothing. By default, the package websockets would log a traceback for each malformed
+        # request.
         self._logger.addHandler(logging.NullHandler())
         self._logger.propagate = False
 

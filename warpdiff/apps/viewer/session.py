@@ -50,17 +50,17 @@ _REST_S = 0.15
 # doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
 # Longest times for rendering a preview during a movement [s]: about 15 and about 12 pictures per second. If a preview
-# is expected to require more than the first time, it gets fewer pixels, but at least _LEAST_PIXELS. With so few pixels,
-# it may require the second time.
+# is expected to require more than the first time, it gets fewer pixels. The second time applies only to previews of the
+# smallest size, below.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Smallest number of pixels of a preview during a movement; fewer are rendered only if this many would require more than
-# 0.08 s.
+# Number of pixels of the smallest previews during a movement. Still fewer pixels are rendered only if this many would
+# require more than 0.08 s.
 _LEAST_PIXELS = 320 * 240
-# First number: number of recent previews whose median time predicts the time of the next one. Second number: a preview
-# that is larger than the last one must be expected to require at most this share of the time limit, so that sizes do
-# not alternate.
+# First number: the median time of this many previews predicts the time of the next one. Second number: the size of
+# previews increases only if the predicted time is below this share of the limit. Without this margin, the size would
+# change back and forth.
 _TIMED, _HEADROOM = 5, 0.8
 # Limit on the memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
@@ -340,7 +340,7 @@ class Studio:
         )  # fmt: skip
 
         def send() -> None:
-            """Send the renderer's present picture as that of the next stage."""
+            """Send the current picture of the renderer to the page, as the picture of the next stage."""
             stage = stages[session.stage]
             image = renderer.image()
             ready = time.perf_counter()
@@ -476,7 +476,7 @@ class Studio:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
             return {"plan": made[0].plan.to_json()}
 
-        # A plan does not depend on shadows.
+        # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
         key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self._device.alias
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)

@@ -44,10 +44,10 @@ _NEAREST = 1.1
 # averages while nothing moves. Limits: twice the texels require four times the graphics memory; twice the frames
 # require twice the time.
 _SIZE, _FRAMES = 1024, 1024
-# Number of wavelengths over which the zeroth order is summed. Limit: a fragment may use 64 texture fetches, and most of
-# them are for the lobes.
+# Number of wavelengths over which a page sums the zeroth order. Limit: browsers guarantee 64 texture fetches per
+# fragment, and the look-up of the lobes needs most of them.
 _WAVELENGTHS = 10
-# Number of |w| at which the power of the zeroth order is tabulated. Limit: the page interpolates linearly between them.
+# Number of samples of the zeroth order's power over |w|. Limit: the page interpolates linearly between samples.
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
 _MOST_LIGHTS = 8
@@ -179,7 +179,7 @@ def _check_lights(lights: Any, lobes: BakedLobes) -> list[DirectionalLight | Poi
 
 
 def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: Surface) -> None:
-    """Raise an error for point lights that are too close to the mesh, or too powerful for the page's numbers."""
+    """Raise an error for point lights that are too close to the mesh, or too powerful for float32 numbers."""
     for index, light in enumerate(lights):
         if not isinstance(light, PointLight):
             continue
@@ -198,7 +198,7 @@ def _check_positions(lights: Sequence[DirectionalLight | PointLight], surface: S
 
 
 def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
-    """Add the arrays of the mesh, scaled to the unit sphere, and of its base colour.
+    """Store the vertices of the mesh, scaled to the unit sphere, and its base colour in the arrays of the page.
 
     Returns:
         The entries of the page's header that describe the arrays.
@@ -247,7 +247,7 @@ def _defined_normals(surface: Surface) -> Any:
 
 
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
-    """Add the arrays of the lobes: coefficients, functions of w in groups of four, and power of the zeroth order.
+    """Store the lobes in the page's arrays: coefficients, functions of w in groups of four, power of the zeroth order.
 
     Returns:
         The entries of the page's header that describe the lobes.
@@ -277,7 +277,7 @@ def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
 
 
 def _add_display(arrays: Arrays) -> dict[str, Any]:
-    """Add the arrays of the display transform: the ACES table, and the largest chroma of each hue.
+    """Store the tables of the display transform in the page's arrays: ACES 2.0, and the largest chroma of each hue.
 
     Returns:
         The entries of the page's header with the constants of the display transform.

@@ -64,7 +64,7 @@ class Arrays:
 
 
 def quantised(values: NDArray[Any], low: Any, high: Any) -> NDArray[np.int64]:
-    """Return values from ``low`` to ``high`` as integers from 0 to ``STEPS``."""
+    """Return values between ``low`` and ``high`` as integers from 0 to ``STEPS``, the largest integer of 16 bits."""
     share = (np.asarray(values, dtype=np.float64) - low) / (np.asarray(high, dtype=np.float64) - low)
     return np.asarray(np.rint(np.clip(share, 0.0, 1.0) * STEPS), dtype=np.int64)
 

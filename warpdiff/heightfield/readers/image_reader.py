@@ -12,7 +12,7 @@ from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, r
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Memory at the peak while an image is read [bytes per sample], as measured. A doubled value refuses images that fit.
+# Measured peak memory while an image is read [bytes per sample]. If doubled, images that fit into memory are refused.
 _BYTES_PER_SAMPLE = 28.0
 
 
@@ -33,12 +33,14 @@ _OTHER_FORMAT = (
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
     with openimageio.in_use() as oiio:
-        # PFM stores the bottom row first. Other formats ignore the attribute.
+        # Files in the format PFM store the bottom row first; this attribute makes OpenImageIO return the top row first.
+        # Readers of other formats ignore it.
         configuration = oiio.ImageSpec()
         configuration.attribute("pnm:pfmflip", 1)
         image = oiio.ImageInput.open(str(file), configuration)
         if image is None:
-            # OpenImageIO prints errors that were not read when the process ends.
+            # The error message is read here even if it is not used, because OpenImageIO prints unread messages when the
+            # process ends.
             reason = _unknown(_reason(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
         try:
@@ -48,19 +50,19 @@ def read_image(file: Path) -> FileContent:
 
 
 def _unknown(reason: str) -> str:
-    """Return the reason why a file is refused that OpenImageIO does not open."""
+    """Return the text of the error for a file that OpenImageIO cannot open, from the message of OpenImageIO."""
     return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
 
 
 def _samples_of(image: Any, file: Path) -> np.ndarray:
-    """Return the samples of an open file, which must contain one grey image."""
+    """Return the samples of an open image file; refuse a file that is not one grey image."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
         raise refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
     require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
-    # "unknown" selects the type of the file, which avoids a conversion.
+    # The type "unknown" means the type of the samples in the file, so that OpenImageIO does not convert them.
     samples = image.read_image("unknown")
     if samples is None or image.has_error:
         raise refusal(file, f"is damaged ({_reason(image)}); export the image again")
@@ -70,7 +72,7 @@ def _samples_of(image: Any, file: Path) -> np.ndarray:
 
 
 def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
-    """Return samples in the order of the displayed picture, by the tag of TIFF and EXIF from 1 to 8."""
+    """Return samples rotated and flipped as the image is displayed, by its orientation tag (TIFF, EXIF), 1 to 8."""
     if orientation not in range(2, 9):
         return samples
     turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}

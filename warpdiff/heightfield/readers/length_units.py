@@ -1,10 +1,10 @@
-"""Units of length: symbols and words that files use, in µm."""
+"""Sizes of units of length [µm], by the symbols and words that files use for them."""
 
 from __future__ import annotations
 
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
-# Symbols that the argument ``unit`` accepts, in µm.
+# Size [µm] of each unit whose symbol the argument ``unit`` of `HeightField.load` accepts.
 SYMBOLS = {"m": 1e6, "cm": 1e4, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3, "Å": 1e-4, "pm": 1e-6}
 _WORDS = {
     "micron": 1.0, "microns": 1.0, "micrometer": 1.0, "micrometre": 1.0, "mikrometer": 1.0, "micromètre": 1.0,
@@ -15,8 +15,8 @@ _WORDS = {
 
 
 def factor_of(text: str) -> float | None:
-    """Return the size [µm] of a unit that a file names; None for anything but a length."""
-    # The micro sign and the Greek letter look the same. The first letter of "Âµ" comes from UTF-8 read as Latin-1.
+    """Return the size [µm] of a unit by its symbol or name in a file; None if the text is no unit of length."""
+    # Unicode has two characters for µ, and two for Å. "Âµ" is a micro sign in UTF-8 that was decoded as Latin-1.
     name = text.strip().strip("[](){}").strip().replace("μ", "µ").replace("Âµ", "µ").replace("\u212b", "Å")
     if name in SYMBOLS:
         return SYMBOLS[name]
@@ -29,7 +29,7 @@ def factor_of(text: str) -> float | None:
 
 
 def factor_um(unit: object, name: str) -> float:
-    """Return the size [µm] of the unit that an argument names."""
+    """Return the size [µm] of the unit ``unit``; raise an error that names the argument if the unit is not known."""
     if not isinstance(unit, str):
         raise ArgumentTypeError(f"{ref(name)} must be a string, got {type(unit).__name__}")
     factor = factor_of(unit)

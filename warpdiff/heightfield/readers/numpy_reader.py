@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from warpdiff.core.wording import ArgumentValueError
 
-# Memory at the peak while a file is read [bytes per sample], as measured. A doubled value refuses files that fit.
+# Measured peak memory while an array is read [bytes per sample]. If doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 28.0
 
 
@@ -44,13 +44,17 @@ def read_npz(file: Path) -> FileContent:
 
 @contextlib.contextmanager
 def _member(file: Path, name: str) -> Iterator[IO[bytes]]:
-    """Open an array of a ``.npz`` file."""
+    """Open the array with the given name in a ``.npz`` file as a stream."""
     with zipfile.ZipFile(file) as archive, archive.open(f"{name}.npy") as stream:
         yield stream
 
 
 def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
-    """Read an array from a stream, which is opened once for the shape and once for the numbers."""
+    """Read an array in NumPy's format from a stream.
+
+    The function ``opened`` opens the stream. It is called twice: for the shape, by which the memory is checked, and for
+    the numbers.
+    """
     try:
         with opened() as stream:
             shape = _shape_of_array(stream)
@@ -65,12 +69,12 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
 
 
 def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
-    """Return the error for a file that NumPy cannot read; parsers of damaged files raise errors of many types."""
+    """Return the error for a file that NumPy cannot read. NumPy's own exceptions for damaged files have many types."""
     return refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
 
 
 def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
-    """Return the shape from the header of a ``.npy`` stream; () if it is truncated or of an unknown version."""
+    """Return the shape in the header of a ``.npy`` file; () if the file is too short or its version is unknown."""
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     version = np.lib.format.read_magic(stream)
     if version not in headers:

@@ -1,4 +1,4 @@
-"""Registry of readers, and the way from the content of a file to heights [µm] and their pitch."""
+"""Registry of readers of height files, and conversion of the content of a file to heights [µm] and their pitch."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Rows = Literal["down", "up"]
-# Extent above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers that confuse units
-# give such sizes. If doubled, one more factor of two of wrong sizes passes.
+# Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers
+# that confuse units give such sizes. If doubled, sizes that are wrong by a smaller factor are accepted.
 _MOST_EXTENT_UM = 1e6
-# Relative difference of the pitch of a file and a stated one up to which they agree, because headers are rounded. If
-# doubled, arguments that contradict a file slightly more are ignored.
+# Largest relative difference between the pitch that a file states and the pitch that the caller states. Small
+# differences are accepted, because headers are rounded. If doubled, arguments that contradict a file slightly more are
+# ignored.
 _MOST_DIFFERENCE = 1e-3
-# Number of channels that an error lists; more make it unreadable.
+# Largest number of channels that an error message lists. Limit: a longer message is unreadable.
 _MOST_NAMES = 12
 
 
@@ -44,8 +45,9 @@ class FileContent:
         rows: Default orientation: ``"down"`` puts row 0 at y = 0, ``"up"`` makes row 0 the top of the picture.
         has_unit: Whether floating-point samples are in µm. If False, the caller states their unit.
         pitch_in_unit: Pair (dy, dx) in the unit that the caller states, for files with coordinates without a unit.
-        is_known_scale: Whether the scale is intended, so that it is not checked.
-        metadata: What the file says about instrument and measurement, as text by name.
+        is_known_scale: Whether the file was written by `HeightField.save`. Its units are then certain, and no check
+            asks whether the sizes and heights are plausible.
+        metadata: Facts about instrument and measurement that the file states, as text by name.
     """
 
     samples: np.ndarray
@@ -57,23 +59,24 @@ class FileContent:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-# Channels of a file by name, the default one first; each is read when its function is called.
+# Channels of a file by name, the default one first. A channel is read only when its function is called.
 Channels = Mapping[str, Callable[[], FileContent]]
 Reader = Callable[[Path], FileContent | Channels]
 
 
 @dataclass(frozen=True, eq=False)
 class RegisteredReader:
-    """A reader with the facts of the table of formats.
+    """A reader of files of heights, with the facts that the documentation lists about its format.
 
     Attributes:
-        read: The function.
-        suffixes: Suffixes of its files.
+        read: Function that reads a file of this format from its path.
+        suffixes: Suffixes of files of this format, with their dot.
         title: Name of the format.
-        states: Facts that the file contains and facts that the caller states, for the table.
-        recognises: Whether a file of another suffix, or of a suffix of several formats, has this format by its content;
-            None for formats that the suffix alone identifies.
-        extra: Extra of the package that it requires, or an empty string.
+        states: Text for the documentation: the facts that a file contains, and those that the caller states.
+        recognises: Function of a path that returns whether the content of the file has this format. It is required for
+            files with other suffixes, and for suffixes that several formats use. None if the suffix alone identifies
+            the format.
+        extra: Name of warpdiff's optional extra that installs the library for this format, or an empty string.
     """
 
     read: Reader
@@ -85,13 +88,13 @@ class RegisteredReader:
 
 
 class Source(NamedTuple):
-    """Where heights were read from.
+    """File and channel from which heights were read.
 
     Attributes:
         path: Path of the file; an empty string for an object in memory.
-        channel: Name of the channel; an empty string for a file of one.
+        channel: Name of the channel; an empty string if the file has only one array of heights.
         rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if it is the top of the picture.
-        metadata: What the file says about instrument and measurement, as text by name.
+        metadata: Facts about instrument and measurement that the file states, as text by name.
     """
 
     path: str
@@ -100,9 +103,9 @@ class Source(NamedTuple):
     metadata: Mapping[str, str]
 
 
-# Readers by suffix in the order of registration. A later one is preferred.
+# Readers by suffix, in the order of registration. If several readers recognise a file, the last one reads it.
 _readers: dict[str, tuple[RegisteredReader, ...]] = {}
-# Suffix whose reader reads files that no reader knows: OpenImageIO recognises images by their content.
+# Suffix of the reader for files that no other reader recognises: OpenImageIO, which identifies images by their content.
 _FALLBACK = ".png"
 
 
@@ -115,11 +118,11 @@ def register_reader(
     Args:
         suffixes: Suffixes with their dot, such as ``".spm"``, in upper or lower case. A reader replaces an earlier one
             of the same suffix, for the files that it recognises.
-        title: Name of the format, for the table of formats; by default the suffixes.
-        states: Facts that the file contains and facts that the caller states, for the table.
+        title: Name of the format in the documentation; by default the suffixes.
+        states: Text for the documentation: the facts that a file contains, and those that the caller states.
         recognises: Function of a path that returns whether the file has this format by its content. Files of other
             suffixes are read by the first reader that recognises them. Without it, the suffix alone decides.
-        extra: Extra of the package that the reader requires.
+        extra: Name of warpdiff's optional extra that installs the libraries of the reader.
     """
 
     def register(reader: Reader) -> Reader:
@@ -140,7 +143,8 @@ def registered() -> tuple[RegisteredReader, ...]:
 def reader_of(file: Path) -> RegisteredReader:
     """Return the reader of a file, by its suffix and content."""
     own = _readers.get(file.suffix.lower(), ())[::-1]
-    # Later readers are preferred: headers of some instruments begin as the texts of an earlier one.
+    # Readers that were registered later are tried first. The text reader, for example, is registered early and would
+    # accept the text header of some binary files of instruments.
     known = (*own, *(entry for entry in registered()[::-1] if entry not in own and entry.recognises))
     with files.naming_file(file):
         for entry in known:
@@ -150,7 +154,7 @@ def reader_of(file: Path) -> RegisteredReader:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return the argument ``path`` as the path of a file; raise an error if it is none."""
+    """Return the argument ``path`` as the path of an existing file; raise an error if there is no such file."""
     file = validation.path(path, "path")
     if not file.exists():
         raise marked(
@@ -164,7 +168,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _naming(file: Path) -> Iterator[None]:
-    """Name the file in errors of readers that do not."""
+    """Add the name of the file to errors of a reader whose messages do not contain it."""
     try:
         yield
     except (ArgumentValueError, ArgumentTypeError):
@@ -174,20 +178,20 @@ def _naming(file: Path) -> Iterator[None]:
 
 
 def channels_of(file: Path) -> tuple[str, ...]:
-    """Return the names of the channels of a file; none for a file of one array without a name."""
+    """Return the names of the channels of a file; no names if the file has a single array of heights without a name."""
     content = _read(file)
     return () if isinstance(content, FileContent) else tuple(content)
 
 
 def _read(file: Path) -> FileContent | Channels:
-    """Read a file, or list its channels."""
+    """Return the content of a file with one array of heights, or the channels of a file with several ones."""
     reader = reader_of(file).read
     with _naming(file):
         return reader(file)
 
 
 def read(file: Path, channel: str | None) -> tuple[FileContent, str]:
-    """Return the content of a file, and the name of its channel or an empty string."""
+    """Return the content of one channel of a file, and its name; an empty name if the file has a single array."""
     content = _read(file)
     name = ""
     if not isinstance(content, FileContent):
@@ -210,13 +214,13 @@ def read(file: Path, channel: str | None) -> tuple[FileContent, str]:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    """Return names for an error, at most so many."""
+    """Return a list of names as text for an error message, with at most ``_MOST_NAMES`` of them."""
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
     return ", ".join(map(repr, names[:_MOST_NAMES])) + more
 
 
 def check_texts(channel: object, unit: object) -> None:
-    """Raise an error for a channel or a unit of a wrong type, and for an unknown unit."""
+    """Raise an error if ``channel`` or ``unit`` is not a string, or if ``unit`` is not a known unit."""
     if channel is not None and not isinstance(channel, str):
         raise ArgumentTypeError(f"{ref('channel')} must be a string, got {type(channel).__name__}")
     if unit is not None:
@@ -224,7 +228,7 @@ def check_texts(channel: object, unit: object) -> None:
 
 
 def rows_of(content: FileContent, rows: object) -> Rows:
-    """Return the orientation of rows: the argument ``rows``, or the default of the file."""
+    """Return the orientation of rows: the argument ``rows`` of the caller, or the default of the file if it is None."""
     return content.rows if rows is None else validation.choice(rows, "rows", get_args(Rows))  # type: ignore[return-value]
 
 
@@ -260,7 +264,10 @@ def heights_of(
 
 
 def _factor(content: FileContent, file: Path, unit: str | None) -> float:
-    """Return the size [µm] of the unit of floating-point samples."""
+    """Return the factor from floating-point samples to heights [µm].
+
+    It is 1 for a file with a unit, and otherwise follows from the argument ``unit``.
+    """
     if content.has_unit:
         if unit is not None:
             raise ArgumentValueError(f"{ref('unit')} must not be given: heights of {str(file)!r} have a unit already")
@@ -274,12 +281,12 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
 
 
 def refusal(file: Path, reason: str) -> ArgumentValueError:
-    """Return an error that names a file and the reason why it is refused."""
+    """Return the error for a refused file. Its message is the file's name, continued by ``reason``."""
     return ArgumentValueError(f"{ref('path')}: {str(file)!r} {reason}")
 
 
 def one_line(error: Exception) -> str:
-    """Return the message of an error of another library as one line of limited length."""
+    """Return the message of an exception as one line of at most about 200 characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:200]} …"
 
@@ -327,7 +334,10 @@ def _agrees(
     content: FileContent, own: object, extent_um: float | tuple[float, float] | None,
     pitch_um: float | tuple[float, float] | None,
 ) -> bool:  # fmt: skip
-    """Whether the pitch of a file is also the one that the arguments state; files of `HeightField.save` need none."""
+    """Whether the pitch that a file states agrees with the pitch that the arguments state.
+
+    Files of `HeightField.save` never agree: their pitch is exact, and an argument for it is refused.
+    """
     if content.is_known_scale or (extent_um is not None and pitch_um is not None):
         return False
     stated = _stated_pitch(content.samples.shape, extent_um, pitch_um)
@@ -338,7 +348,7 @@ def _agrees(
 def _stated_pitch(
     shape: tuple[int, ...], extent_um: float | tuple[float, float] | None, pitch_um: float | tuple[float, float] | None
 ) -> float | tuple[float, float]:
-    """Return the pitch [µm] that one of the arguments states."""
+    """Return the pitch [µm] from the argument ``pitch_um``, or from ``extent_um`` and the number of samples."""
     if pitch_um is not None:
         return validation.pair(pitch_um, "pitch_um")
     ny, nx = shape
@@ -349,10 +359,10 @@ def _stated_pitch(
 
 
 def _is_too_large(shape: tuple[int, int], pitch_um: object) -> bool:
-    """Whether a size is beyond any instrument."""
+    """Whether the width or the height of a field exceeds 1 m, which is more than any instrument measures."""
     try:
         pitch = validation.pair(pitch_um, "pitch_um")
     except (ArgumentValueError, ArgumentTypeError):
-        # The constructor of the height field refuses it.
+        # A pitch that is no pair of positive numbers is refused later, by the constructor of `HeightField`.
         return False
     return any(n * step > _MOST_EXTENT_UM for n, step in zip(shape, pitch, strict=True))

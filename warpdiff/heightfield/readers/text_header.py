@@ -13,16 +13,18 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched: the last ones before the numbers.
+# Number of header lines that are searched for facts: the last ones before the numbers.
 _MOST_LINES = 400
-# Relative difference up to which two statements of a length agree. If doubled, contradictions pass more often.
+# Largest relative difference of two statements of the same length that count as equal. If doubled, contradictions pass
+# more often.
 _MOST_DIFFERENCE = 1e-3
-# Length of a line above which it is no statement.
+# Number of characters above which a header line is not searched. Limit: longer lines are free text.
 _MOST_LENGTH = 400
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
 _UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
 _PER_PIXEL = r"\s*/\s*(?:pixel|pix|px|sample|samples|pt|point)\b"
-# A key with a number and perhaps a unit: "Width: 10 µm", "pixel size=0.1 um", "XY calibration 277.3 nm/pixel".
+# Matches a key with a number and perhaps a unit, such as "Width: 10 µm", "pixel size=0.1 um" or "XY calibration 277.3
+# nm/pixel".
 _STATEMENT = re.compile(
     rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=\t;]\s*(?P<number>{_NUMBER})(?![\w.,]*[.:/]\d)"
     rf"(?:\s*[;,\t]?\s*[\[(]?(?P<unit>{_UNIT})[\])]?(?P<per>{_PER_PIXEL})?)?"
@@ -30,7 +32,7 @@ _STATEMENT = re.compile(
 _SPACED = re.compile(
     rf"(?P<key>[^\W\d_][^:=;\t\d]*?)\s+(?P<number>{_NUMBER})\s*(?P<unit>{_UNIT})(?P<per>{_PER_PIXEL})?$"
 )
-# A key with two numbers: "Scan size: 10 x 8 µm", "Size = 10 µm × 8 µm".
+# Matches a key with two numbers, such as "Scan size: 10 x 8 µm" or "Size = 10 µm × 8 µm".
 _PAIR = re.compile(
     rf"(?P<key>[^\W\d_][^:=]*?)\s*[:=]\s*(?P<x>{_NUMBER})\s*(?P<unit_x>{_UNIT})?\s*(?:[x×*]|by)\s*(?P<y>{_NUMBER})\s*"
     rf"(?P<unit_y>{_UNIT})\b"
@@ -54,11 +56,12 @@ _COLUMN = re.compile(r"^(?P<axis>[xyz])\b|^(?P<other>[xyz])_", re.IGNORECASE)
 
 
 def _names(*lines: str) -> frozenset[str]:
-    """Return the keys of lines, which bars separate."""
+    """Return the set of keys in lines of text; vertical bars separate the keys of a line."""
     return frozenset("|".join(lines).split("|"))
 
 
-# Keys of header lines in lower case.
+# Keys of header lines, in lower case, by the fact that they state: width, height, pitch, number of samples, unit or
+# factor. They are the words of common programs and languages.
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x",
@@ -80,7 +83,8 @@ _PITCH_Y = _names(
     "pixel size y|y pixel size|pixel height|dy|y step|step y|y step size|step size y|y pitch|pitch y|y spacing",
     "spacing y|y increment|increment y|y-increment|y sampling|sampling y|y interval|ypixelsize|pixelsizey",
 )
-# "Step" and "pitch" alone may be those of the focus.
+# Keys of the pitch along both axes. "Step" and "pitch" alone are not among them, because they may state the step of the
+# focus along z.
 _BOTH_PITCHES = _names(
     "pixel size|pixelsize|pixel pitch|lateral sampling|sampling interval|sampling distance|sample spacing|spacing",
     "point spacing|grid spacing|lateral spacing|lateral step|xy calibration|xy-calibration|xy-justierung|dxy",
@@ -108,22 +112,23 @@ _GLOBAL_UNITS = _names("units|einheiten|unités")
 
 @dataclass
 class Facts:
-    """Facts of a header; lengths in µm, None if they are not stated.
+    """Facts that the header of a text states. Lengths are in µm. None means that the header does not state a fact.
 
     Attributes:
-        size_x: Width.
+        size_x: Width of the field.
         size_y: Height of the field.
-        size_of_both: One size, for both axes.
+        size_of_both: Size of the field, if the header states one size for both axes.
         pitch_x: Distance of samples along x.
         pitch_y: Distance of samples along y.
         count_x: Number of columns.
         count_y: Number of rows.
-        units: Sizes of units of the heights that are stated; one is required, and several contradict each other.
-        factor_key: Key of a factor of the heights that is not applied; an empty string if there is none.
-        not_length: A unit of the heights that is no length; an empty string if there is none.
-        factor: Size of a unit of the numbers, by a conversion factor.
-        lateral: Size of the unit of numbers along x and y.
-        global_unit: Size of the unit of all numbers, if there is one.
+        units: Sizes of all units that the header states for the heights. Several ones contradict each other.
+        factor_key: Key of a factor by which the program scales heights. The factor is not applied, and the file is
+            refused. An empty string if there is none.
+        not_length: Unit of the values if it is no unit of length, such as V; an empty string if there is none.
+        factor: Height of a value of 1, if the header states it as a "height conversion factor".
+        lateral: Size of the unit of the positions along x and y.
+        global_unit: Size of the unit of all numbers of the file, heights and positions, if there is one.
         channel: Name of the channel; an empty string if it is not stated.
         metadata: Lines "key: value", as text.
     """
@@ -146,11 +151,15 @@ class Facts:
     _stated: dict[str, list[tuple[bool, float]]] = field(default_factory=dict)
 
     def add(self, name: str, length: float, *, names_axis: bool) -> None:
-        """Add a statement of a size or pitch; those that name their axis count more than "Height" or "Spacing"."""
+        """Add the length that a header line states for the fact ``name``, a size or a pitch.
+
+        ``names_axis`` is whether the key of the line names x or y. Such statements outweigh keys like "Height" or
+        "Spacing".
+        """
         self._stated.setdefault(name, []).append((names_axis, length))
 
     def decide(self) -> None:
-        """Set the sizes and pitches that statements agree on."""
+        """Set each size and pitch for which the header lines state equal lengths; contradictory lines set nothing."""
         for name, statements in self._stated.items():
             strongest = max(names_axis for names_axis, _ in statements)
             lengths = [length for names_axis, length in statements if names_axis == strongest]
@@ -159,29 +168,29 @@ class Facts:
 
     @property
     def has_scale(self) -> bool:
-        """Whether a size or a pitch is stated."""
+        """Whether the header states the size, or the pitch, along both axes."""
         return None not in (self.size_x, self.size_y) or None not in (self.pitch_x, self.pitch_y)
 
     @property
     def unit(self) -> float | None:
-        """Size of the unit of heights [µm]; None if it is not stated, or stated in two ways."""
+        """Size of the unit of heights [µm]; None if the header does not state one, or states two different ones."""
         if self.factor is not None:
             return self.factor
         return next(iter(self.units)) if len(self.units) == 1 else None
 
 
 def is_statement(line: str) -> bool:
-    """Whether a line states a fact, such as "heights in nm", and has no headings of columns."""
+    """Whether a header line states a fact, such as "heights in nm". Otherwise it may contain headings of columns."""
     return any(sign in line for sign in ":=") or re.search(r"\bin\b", line) is not None
 
 
 def value_of(text: str) -> float:
-    """Return the number of a header, whose decimal sign may be a comma."""
+    """Return the value of a number in a header; its decimal sign is a point or a comma."""
     return float(text.replace(",", ".").upper().replace("D", "E"))
 
 
 def facts_of(header: Sequence[str], form: Form) -> Facts:
-    """Return the facts of header lines."""
+    """Return the facts (sizes, pitches, units, channel) that the lines of a header state."""
     facts = Facts()
     lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= _MOST_LENGTH]
     for line in lines:
@@ -202,7 +211,8 @@ def facts_of(header: Sequence[str], form: Form) -> Facts:
             if length is not None and len(matches) == 1:
                 unnamed.append((index, length))
     facts.decide()
-    # Gwyddion translates "Width" and "Height", which are two lines before the unit of the heights.
+    # The program Gwyddion writes width and height in two lines before the unit of the heights. It translates the keys
+    # of these lines, so that they are recognised by their order.
     if not facts.has_scale and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
         match = _WORD.match(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
         if match and _words(match["key"]) == "value units":
@@ -211,7 +221,10 @@ def facts_of(header: Sequence[str], form: Form) -> Facts:
 
 
 def _plain(line: str, form: Form) -> str:
-    """Return a header line without comment signs and quotes; cells of a key, a value and a unit are joined."""
+    """Return a header line without comment signs and quotes.
+
+    Separate cells for a key, a value and a unit are joined to "key: value unit".
+    """
     line = line.strip().lstrip("#%;/*'!\\ \t").strip()
     if form.separator in (",", ";", "\t") and form.separator in line:
         cells = [cell.strip('"') for cell in form.cells(line)]
@@ -222,13 +235,14 @@ def _plain(line: str, form: Form) -> str:
 
 
 def _words(key: str) -> str:
-    """Return a key for comparison, without units in brackets."""
+    """Return a key in the form of the sets of keys: in lower case, and without units in brackets."""
     return " ".join(_IN_KEY.sub("", key).replace("_", " ").lower().strip(" ,;-").split())
 
 
 def _add_unit(facts: Facts, line: str) -> None:
     """Add the unit of heights, or of lengths along x and y, that a line states."""
-    # WSxM states the range of heights, in their unit.
+    # The program WSxM writes the range of the heights ("Z Amplitude") with a unit, which is also the unit of the
+    # heights.
     amplitude = _Z_AMPLITUDE.match(line)
     if match := _FACTOR.search(line):
         unit = length_units.factor_of(match["unit"])
@@ -243,14 +257,14 @@ def _add_unit(facts: Facts, line: str) -> None:
         elif key in _UNITS_Z and unit is not None:
             facts.units.add(unit)
             facts.global_unit = unit if key in _GLOBAL_UNITS else facts.global_unit
-    # "Height [µm]: 10" is a size.
+    # A line such as "Height [µm]: 10" states the size of the field along y, and not the unit of the heights.
     elif not _ENDS_IN_NUMBER.search(line):
         texts = (match["bracket"] or match["word"] for match in _HEIGHTS_IN.finditer(line))
         facts.units.update(unit for unit in map(length_units.factor_of, texts) if unit is not None)
 
 
 def _add_pair(facts: Facts, match: re.Match[str]) -> None:
-    """Add the sizes or pitches along x and y of a line with two numbers."""
+    """Add to ``facts`` the sizes or pitches along x and y that a line with two numbers states."""
     key = _words(match["key"])
     unit_y = length_units.factor_of(match["unit_y"])
     unit_x = unit_y if match["unit_x"] is None else length_units.factor_of(match["unit_x"])
@@ -264,7 +278,7 @@ def _add_pair(facts: Facts, match: re.Match[str]) -> None:
 
 
 def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
-    """Add a number with its key; returns the length [µm] if its key is not known."""
+    """Add to ``facts`` the number that a line states. If its key is not known, return its length [µm] instead."""
     inner = _IN_KEY.search(match["key"])
     text = match["unit"] or (inner["unit"] if inner else None)
     key, number = _words(match["key"]), value_of(match["number"])
@@ -299,14 +313,14 @@ def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
 
 @dataclass
 class Columns:
-    """Columns of x, y and z, with the sizes of their units [µm], None for a column without a unit."""
+    """Indices of the columns of x, y and z, and the sizes of their units [µm]; None for a column without a unit."""
 
     positions: tuple[int, int, int]
     units: tuple[float | None, float | None, float | None]
 
 
 def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
-    """Return the columns that header lines name x, y and z; None if they name none."""
+    """Return the columns of x, y and z by their headings in the last header lines; None without such headings."""
     lines = [line for line in header[-3:] if len(line) <= _MOST_LENGTH]
     for index in range(len(lines) - 1, -1, -1):
         for cells in _cells(lines[index], form):
@@ -327,20 +341,21 @@ def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
 
 
 def _cells(line: str, form: Form) -> Iterator[list[str]]:
-    """Return the cells of a header line, by the separator of the numbers and by other ones."""
+    """Yield the cells of a header line, split by the separator of the numbers, and then by other common separators."""
     line = line.strip().lstrip("#%;/*'!\\ \t").strip()
     if form.separator is not None:
         yield [cell.strip('" ') for cell in form.cells(line)]
     for separator in (";", ",", "\t"):
         if separator in line:
             yield [cell.strip('" ') for cell in line.split(separator) if cell.strip()]
-    # "X [nm] Y [nm] Z [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
+    # A name and its unit are joined before the line is split at white space, for headings such as "X [nm] Y [nm] Z
+    # [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
     joined = re.sub(r"\s*(?:/|\bin\b)\s*", "/", re.sub(r"\s+([\[(])", r"\1", line))
     yield joined.split()
 
 
 def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
-    """Return the size [µm] of the unit in the name of a column; None if there is none."""
+    """Return the size [µm] of the unit in the heading of a column; None if the heading has no unit of length."""
     if is_alone:
         return length_units.factor_of(cell)
     match = re.search(rf"[\[(/_,]\s*({_UNIT})\s*[\])]?$|\bin\s+({_UNIT})$|\s({_UNIT})$", cell)

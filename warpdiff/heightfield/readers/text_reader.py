@@ -1,6 +1,7 @@
 """Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
 
-One rule reads all exports: separator and decimal sign by counting, units from the header. Units are never guessed.
+One procedure reads the exports of all programs. It finds the separator and the decimal sign by trying which ones give
+the most numbers. It takes units from the header and never guesses them.
 """
 
 from __future__ import annotations
@@ -25,22 +26,24 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_header import Columns, Facts
     from warpdiff.heightfield.readers.text_table import Block
 
-# Memory at the peak while a text is read, per byte of the text, as measured for numbers of one digit. A doubled
-# value refuses texts that fit.
+# Measured peak memory while a text is read, per byte of a text with numbers of one digit. If doubled, texts that fit
+# into memory are refused.
 _BYTES_PER_LETTER = 18.0
-# Number of rows above which three columns without a header are no scan: its width would be three samples.
+# Largest number of rows for which three columns of numbers, without a header, are read as a matrix. With more rows,
+# they are probably points or a list and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
-# Ratio of the pitches along x and y above which a header is not believed. If doubled, some ranges of heights are
-# believed to be sizes.
+# Largest ratio of the pitches along x and y that is accepted from a header. A larger one suggests that the header
+# states the range of the heights and not a size. If doubled, more such ranges are mistaken for sizes.
 _MOST_ASPECT = 50.0
-# Relative difference of a size and of as many pitches, up to which they agree. If doubled, more contradictions pass.
+# Largest relative difference between the size that a header states and its number of samples times its pitch. If
+# doubled, more contradictions are accepted.
 _MOST_DIFFERENCE = 0.01
-# Number of the line of a Zygo XYZ file with the size of a pixel.
+# Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
 _ZYGO_LINES = 8
-# Smallest share of the points of a grid that a file of points must have.
+# Smallest share of the positions of a grid at which a file of points x, y, z must have points.
 _LEAST_FILLED = 0.5
-# Number of even steps from which a first row or column is no chance; without a heading, twice as many. If halved,
-# more small matrices are refused.
+# Number of even steps from which on a first row or column counts as positions instead of heights. If halved, more small
+# matrices of heights are refused.
 _LEAST_NUMBERED = 4
 
 
@@ -49,7 +52,7 @@ _LEAST_NUMBERED = 4
     states="sizes and units if its header has them; you state the others", recognises=text_table.is_text,
 )  # fmt: skip
 def read_text(file: Path) -> FileContent | Channels:
-    """Read a matrix of heights, several ones, or points on a grid."""
+    """Read the heights of a text file: one matrix, several matrices as channels, or points x, y, z on a grid."""
     most = int(min(text_table.MOST_BYTES, memory.available() / _BYTES_PER_LETTER))
     data = text_table.unpacked(file, most)
     if len(data) > most:
@@ -61,7 +64,7 @@ def read_text(file: Path) -> FileContent | Channels:
     blocks = text_table.blocks_of(lines, form)
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, blocks[0].header) for block in same]
-    # Channels of heights come first.
+    # Matrices whose unit is a length come first, because the first channel is the default.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
@@ -76,13 +79,16 @@ def read_text(file: Path) -> FileContent | Channels:
 
 
 def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
-    """Return the largest block, and others of its shape; refuse other parts of as many columns."""
+    """Return the largest block of numbers and all other blocks of the same shape, which are channels of the file.
+
+    The file is refused if other blocks have as many columns but another number of rows.
+    """
     largest = max(blocks, key=lambda block: block.values.size)
     shape = largest.values.shape
     if min(shape) < 2:
         return [largest]
     same = [block for block in blocks if block.values.shape[1] == shape[1]]
-    # Single rows before the first matrix belong to a header.
+    # A block of a single row before the first matrix belongs to the header.
     while len(same[0].values) == 1:
         del same[0]
     if any(block.values.shape != shape for block in same):
@@ -91,7 +97,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
 
 
 def _facts_of(block: Block, form: Form, first_header: list[str]) -> Facts:
-    """Return the facts of the header of a block; sizes and units may be in the first header of the file alone."""
+    """Return the facts of a block's header. If it states no size or pitch, those of the file's first header apply."""
     facts = text_header.facts_of(block.header, form)
     if not facts.has_scale and first_header is not block.header:
         first = text_header.facts_of(first_header, form)
@@ -103,13 +109,13 @@ def _facts_of(block: Block, form: Form, first_header: list[str]) -> Facts:
 
 
 def _title(header: list[str]) -> str:
-    """Return the last line before a matrix if it is a title: at most four words."""
+    """Return the last header line before a matrix if it is a title of one to four words, else an empty string."""
     text = header[-1].strip().strip('#%"[]:;, \t') if header else ""
     return text if re.fullmatch(r"[^\W\d_]+(?: [^\W\d_]+){0,3}", text) else ""
 
 
 def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | None) -> FileContent:
-    """Return the heights of a block of numbers."""
+    """Return the heights of a block of numbers, which is a matrix or a list of points x, y, z."""
     _check_block(file, block, form)
     values = block.values
     columns = text_header.columns_of(block.header, form, values.shape[1])
@@ -128,7 +134,7 @@ def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | N
 
 
 def _check_block(file: Path, block: Block, form: Form) -> None:
-    """Refuse rows that contradict each other."""
+    """Raise an error if a row of a block has text among its numbers, or more or fewer numbers than the others."""
     width = block.values.shape[1]
     if block.odd_cell:
         cell, line = block.odd_cell
@@ -147,7 +153,7 @@ def _check_block(file: Path, block: Block, form: Form) -> None:
 
 
 def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileContent:
-    """Return the heights of a matrix."""
+    """Return the heights of a block of numbers that is a matrix: one row of numbers per row of samples."""
     rows, width = block.values.shape
     measured = int(np.count_nonzero(np.isfinite(block.values).any(axis=0)))
     if rows < 2 or measured < 3:
@@ -169,7 +175,8 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
             file, f"states a factor of its heights, {facts.factor_key[:20]!r}, which is not applied; export the heights"
         )
     is_wsxm = any("WSxM" in line for line in block.header)
-    # The matrix of WSxM has x from right to left, and y from the bottom to the top.
+    # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the largest.
+    # Both axes are reversed here.
     samples = values[::-1, ::-1] if is_wsxm else values
     pitch = _pitch_of(facts, nx, ny)
     unit = facts.unit
@@ -181,7 +188,10 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
 
 
 def _with_outer_columns(file: Path, values: np.ndarray, outer: tuple[int, int], count: int | None) -> np.ndarray:
-    """Return values with the empty columns around them, if the header counts these; refuse them if it has no count."""
+    """Return a matrix with its empty first or last column if the header counts this column, and without it if not.
+
+    Without a count in the header, the file is refused: an empty column may be a separator or missing samples.
+    """
     if not any(outer) or count == values.shape[1]:
         return values
     if count == values.shape[1] + sum(outer):
@@ -192,7 +202,7 @@ def _with_outer_columns(file: Path, values: np.ndarray, outer: tuple[int, int], 
 
 
 def _has_headings(block: Block, form: Form) -> bool:
-    """Whether the line above the numbers has a word for each column, or for each but the first."""
+    """Whether the line above the numbers has headings: a word for each column, or for each but the first."""
     words = [cell for cell in (form.cells(block.header[-1]) if block.header else []) if cell]
     is_key = not block.header or text_header.is_statement(block.header[-1])
     width = block.values.shape[1]
@@ -205,23 +215,25 @@ def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
         return None
     dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
     dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
-    # One size for both axes is clear only if they have equally many samples.
+    # A header may state one size without an axis. It is used only if both axes have equally many samples, because it is
+    # ambiguous otherwise.
     if facts.size_of_both is not None and nx == ny:
         dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
-    # A height of the field that is 50 times its width is rather the range of the heights.
+    # If the pitch along y is more than 50 times the pitch along x, or less than 1/50 of it, the "height" in the header
+    # is probably the range of the heights and not the size along y.
     is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
     return (dy, dx) if is_likely else None  # type: ignore[return-value]
 
 
 def _contradict(size: float | None, pitch: float | None, count: int) -> bool:
-    """Whether a size is another one than that of so many samples, or of the distance of the first and the last."""
+    """Whether a size contradicts a pitch: ``count`` pitches, or one less, do not give the size."""
     if size is None or pitch is None:
         return False
     return not (1.0 - _MOST_DIFFERENCE) * (count - 1) <= size / pitch <= (1.0 + _MOST_DIFFERENCE) * count
 
 
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return the values of a matrix without numbers or positions of rows and columns, and the pitch of positions."""
+    """Return a matrix without its row and column of indices or positions, and the pitch of these positions or None."""
     values = block.values
     labels = _labels_around(block, form)
     if labels is not None:
@@ -232,21 +244,25 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
     first, has_headings = values[:, 0], _has_headings(block, form)
     if has_headings and not _is_counted(first) and len(values) > 2 and text_table.is_even(first):
         raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
-    # Whole numbers from 0 or 1 on, next to fractions, are no heights.
+    # A first row or column of whole numbers that count from 0 or 1 has indices and not heights, if the other numbers
+    # have fractions.
     inner = values[1:, 1:]
     has_fractions = bool(np.any(np.mod(inner[np.isfinite(inner)], 1.0)))
     if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):
         return values[:, 1:], None
     if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
         return values[1:], None
-    # Rows of a plane have even steps too, and all of them.
+    # The heights of a tilted plane also have even steps, but in every row. The second row is therefore tested, too.
     if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
         raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
     return values, None
 
 
 def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return inner values, and numbers or positions of columns and rows around a corner without a number."""
+    """Return a matrix without its labels, and the labels of its columns and rows; None if the matrix has none.
+
+    Labels are indices or positions in the first row and the first column, whose common corner has no number.
+    """
     values, width = block.values, block.values.shape[1]
     cells = form.cells(block.header[-1]) if block.header else []
     numbers = [form.number(cell) for cell in cells]
@@ -263,28 +279,32 @@ def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _is_counted(values: np.ndarray) -> bool:
-    """Whether numbers count from 0 or 1."""
+    """Whether values are consecutive whole numbers that begin with 0 or 1."""
     return values[0] in (0.0, 1.0) and np.array_equal(values, values[0] + np.arange(len(values)))
 
 
 def _has_even_edges(values: np.ndarray) -> bool:
-    """Whether the first row and the first column without the corner have even steps."""
+    """Whether the first row and the first column of a matrix have even steps; their common corner is ignored."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 
 def _at_positions(inner: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return values in the order of the picture, and their pitch; numbers of rows and columns are no positions."""
+    """Return a matrix with rows from the largest y to the smallest and x ascending, and its pitch (dy, dx).
+
+    If the labels ``x`` and ``y`` are only indices, the matrix is unchanged and the pitch is None.
+    """
     if _is_counted(x) and _is_counted(y):
         return inner, None
     dx, dy = x[1] - x[0], y[1] - y[0]
-    # Positions grow to the right and upwards.
+    # In a picture, x increases to the right and y increases upwards. Row 0 is the top.
     return inner[:: -1 if dy > 0.0 else 1, :: 1 if dx > 0.0 else -1], (abs(dy), abs(dx))
 
 
 def _zygo_pitch(top: list[str]) -> float | None:
-    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if it has none; None for other files.
+    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state it; None for other files.
 
-    The seventh number of its eighth line is the size in m. The unit of its heights is a setting of the program.
+    The size [m] is the seventh number in the eighth line. The unit of the heights depends on a setting of the program
+    that wrote the file, and is not in the file.
     """
     if not top[0].strip().startswith("Zygo XYZ Data File"):
         return None
@@ -296,7 +316,10 @@ def _zygo_pitch(top: list[str]) -> float | None:
 def _of_points(
     file: Path, values: np.ndarray, columns: Columns, facts: Facts, zygo: float | None, *, is_named: bool
 ) -> FileContent | None:
-    """Return the heights of points on an even grid; None if the columns are no points and are not named so."""
+    """Return the heights of points x, y, z on an even grid; None if the columns are no points.
+
+    If headings name the columns x, y and z (``is_named``), points on no grid raise an error instead.
+    """
     x, y, z = (values[:, position] for position in columns.positions)
     positions = _grid(file, x, y, is_named=is_named)
     if positions is None:
@@ -305,7 +328,8 @@ def _of_points(
     column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
     heights = np.full((len(at_y), len(at_x)), np.nan)
     heights[row, column] = z
-    # The rows of a picture go from the largest y to the smallest; a camera numbers its rows from the top.
+    # The rows of a picture go from the largest y to the smallest. In Zygo files, y is a row number of the camera, which
+    # is 0 at the top.
     heights = heights if zygo is not None else heights[::-1]
     unit_x, unit_y, unit_z = columns.units
     if unit_x is None and unit_y is None:
@@ -319,7 +343,7 @@ def _of_points(
     elif unit_x is not None and unit_y is not None:
         pitch = unit_y * dy, unit_x * dx
     elif facts.has_scale and dx == dy == 1.0:
-        # The positions number the samples.
+        # Positions with a step of 1 and no unit are indices of the samples, and the header states the size.
         pitch = _pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx
@@ -332,7 +356,10 @@ def _of_points(
 def _grid(
     file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
 ) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
-    """Return positions and steps of an even grid of points along x and y; None, or an error, if there is none."""
+    """Return the positions and the step of an even grid of points, along x and along y; None if there is no grid.
+
+    If headings name the columns (``is_named``), points on no grid raise an error instead.
+    """
     reason = _why_no_grid(x, y)
     if reason and is_named:
         raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
@@ -341,14 +368,15 @@ def _grid(
 
 
 def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
-    """Return why points are on no even grid; an empty string if they are on one."""
+    """Return the reason why points are not on an even grid, for an error message; an empty string if they are."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return "without a position"
     along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
     if along_x is None or along_y is None:
         return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
-    # Two or three rows of a matrix are as many points on a diagonal.
+    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. Points must
+    # therefore fill more than one position per row and column.
     if len(x) < 4 or len(x) <= max(nx, ny) or len(x) < _LEAST_FILLED * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])

@@ -1,4 +1,4 @@
-"""Tables of numbers in text: encoding, separator and decimal sign by counting, and blocks of equal rows."""
+"""Tables of numbers in text files: finds encoding, separator and decimal sign, and blocks of rows of equal length."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Size of a decompressed text above which it is refused [bytes]; 100 million numbers of ten characters. It limits what
-# a compressed file may expand to.
+# Size above which a text file is refused, after decompression [bytes]: 100 million numbers of ten characters. The limit
+# also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
-# Sizes of the sample from which separator and decimal sign are counted: lines, and characters in all. If doubled, the
-# choice is as good and takes twice as long.
+# Number of lines, and number of characters, of the sample of a text in which separators and decimal signs are tried. If
+# doubled, the choice is as good and takes twice as long.
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
-# Number of first bytes that show whether a file is text.
+# Number of bytes at the beginning of a file by which it is identified as text.
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
 )  # fmt: skip
-# Words that programs write for a missing sample.
+# Words that programs of instruments write for a missing sample.
 _GAPS = frozenset({
     "nan", "+nan", "-nan", "1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)", "1.#inf", "-1.#inf", "inf",
     "+inf", "-inf", "infinity", "-infinity", "bad", "-", "--",
@@ -41,10 +41,11 @@ _GAPS = frozenset({
 _NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b")
 _NUMBERS = {
     ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
-    # A comma without digits after it separates.
+    # With a decimal comma, digits must follow the comma. A comma without digits after it is a separator.
     ",": re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
 }
-# Separators and decimal signs, preferred in this order if they give equally many numbers. None is white space.
+# Pairs of a separator and a decimal sign that are tried; a separator of None is white space. If several pairs give
+# equally many numbers, the first one is used.
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
@@ -52,7 +53,7 @@ _LINE_END = re.compile(r"\r\n?|\n")
 
 
 def is_text(file: Path) -> bool:
-    """Whether a file begins as a text that contains digits."""
+    """Whether the first bytes of a file are text that contains digits."""
     with file.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
     if head.startswith(_GZIP):
@@ -82,29 +83,31 @@ def unpacked(file: Path, most: int) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Return a text by its byte-order mark or by its content; UTF-8 fails on other encodings."""
+    """Decode the bytes of a text by its byte-order mark, or as UTF-16, UTF-8 or Windows-1252 by its content."""
     for mark, name in _MARKS:
         if data.startswith(mark):
             return data.decode(name, errors="replace")
     head = data[:400]
     if head.count(0) > len(head) // 4:
-        # The zero bytes of Latin letters in UTF-16 are second, or first.
+        # In UTF-16, one of the two bytes of a Latin letter is zero: the second one in little-endian order, the first
+        # one in big-endian order.
         return data.decode("utf-16-le" if head[1::2].count(0) >= head[::2].count(0) else "utf-16-be", errors="replace")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
-        # Latin-1 has control characters where Windows has letters.
+        # Text that is not UTF-8 is read as Windows-1252. It contains all printable characters of Latin-1 at the same
+        # places.
         return data.decode("cp1252", errors="replace")
 
 
 class Form(NamedTuple):
-    """Separator, or None for white space, and decimal sign."""
+    """Form of the numbers in a text: the separator between them (None is white space) and the decimal sign."""
 
     separator: str | None
     decimal: str
 
     def cells(self, line: str) -> list[str]:
-        """Return the cells of a line."""
+        """Return the texts between the separators of a line."""
         if self.separator is None:
             return line.split()
         if '"' in line:
@@ -114,7 +117,7 @@ class Form(NamedTuple):
         return [cell.strip() for cell in cells]
 
     def number(self, cell: str) -> float | None:
-        """Return the number of a cell, NaN for a missing sample; None for another text."""
+        """Return the number in a cell: NaN for a missing sample, None if the text of the cell is no number."""
         cell = cell.strip("\"' ")
         if not cell or cell.lower() in _GAPS:
             return math.nan
@@ -123,14 +126,15 @@ class Form(NamedTuple):
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line; None if a cell is no number, or if all are missing and there is one cell."""
+        """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
         if self.decimal == "." and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))
             except ValueError:
                 pass
             else:
-                # An overflow is no missing sample, and "inf" is one.
+                # Lines with infinite numbers are not accepted here: "inf" means a missing sample, while a number that
+                # overflows does not. The slower code below distinguishes them.
                 if fast and all(map(math.isfinite, fast)):
                     return fast
         cells = self.cells(line)
@@ -142,17 +146,19 @@ class Form(NamedTuple):
 
 @dataclass
 class Block:
-    """Rows of equally many numbers.
+    """Block of consecutive rows of a text that have equally many numbers.
 
     Attributes:
-        header: Lines of text before it, from the end of the previous block on.
+        header: Lines of text between the previous block and this one.
         values: Numbers, shape (rows, columns).
-        parts: Numbers of rows between blank lines.
-        line: Number of the line of its first row, from 1.
-        is_cut: Whether a row of another length follows directly.
-        above: Numbers of the row of another length directly above; None if there is none.
-        outer: Numbers of empty columns before and behind, which are separators or missing samples.
-        odd_cell: A cell among the numbers that is no number, with its line; None if there is none.
+        parts: Number of rows in each part of the block; blank lines separate the parts.
+        line: Line number of the block's first row, from 1.
+        is_cut: Whether the next line is a row with more or fewer numbers.
+        above: Numbers of the row directly above the block, which has more or fewer of them; None if there is no such
+            row.
+        outer: Number of empty columns before the first number of each row, and after the last one. An empty column
+            comes from a separator at the end of the line, or from missing samples.
+        odd_cell: Text of a cell among numbers that is no number, and its line number; None if there is none.
     """
 
     header: list[str]
@@ -166,13 +172,13 @@ class Block:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text, with ASCII signs for numbers."""
+    """Return the lines of a text. Minus signs become ASCII, and "no data" becomes "nan"."""
     text = text.lstrip("\ufeff").rstrip("\x1a\0").replace("\u2212", "-")
     return _LINE_END.split(_NO_DATA.sub("nan", text))
 
 
 def form_of(lines: Sequence[str]) -> Form | None:
-    """Return the separator and decimal sign that give the most numbers in rows of equal length; None if none does."""
+    """Return the separator and decimal sign that give the most numbers in rows of equal length; None if none do."""
     filled = [line for line in lines if line.strip()]
     mean = sum(map(len, filled)) / max(len(filled), 1)
     count = max(min(_SAMPLE_LINES, int(_SAMPLE_CHARACTERS / max(mean, 1.0))), 5)
@@ -180,7 +186,7 @@ def form_of(lines: Sequence[str]) -> Form | None:
     best, chosen = 0, None
     for separator, decimal in _FORMS:
         form, counts = Form(separator, decimal), dict[int, int]()
-        # Only quotes can keep the decimal commas of a cell from its separators.
+        # If the comma is both separator and decimal sign, only quotes around the cells can distinguish both uses.
         if separator == decimal and not any('"' in line for line in sample):
             continue
         for line in sample:
@@ -193,7 +199,7 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 
 def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
-    """Return the blocks of numbers."""
+    """Return all blocks of rows of numbers in the lines of a text, each with the header lines above it."""
     lines, outer = _without_outer_separators(lines, form)
     result: list[Block] = []
     header: list[str] = []
@@ -237,7 +243,7 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
 
 
 def odd_cell(form: Form, line: str, width: int) -> str | None:
-    """Return the text among the numbers of a line of as many cells as a row; None if it is another kind of line."""
+    """Return the first text in a line of ``width`` cells that are mostly numbers; None for other lines."""
     cells = form.cells(line)
     if len(cells) != width or width < 3:
         return None
@@ -246,7 +252,10 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
 
 
 def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], tuple[int, int]]:
-    """Return lines without the separators that begin, or end, each line of numbers, and how many could be gaps.
+    """Return lines without separators before the first and after the last number, if every row has them.
+
+    The pair of numbers counts the columns, before and after, that may be missing samples instead. This is possible if
+    other cells in the text are empty, too.
 
     An empty first or last column may also be one of missing samples, if other cells are empty.
     """
@@ -268,20 +277,20 @@ def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequenc
 
 
 def is_even(values: NDArray[np.float64]) -> bool:
-    """Whether at least two numbers have equal steps, up to rounding, that are not zero."""
+    """Whether the steps between consecutive values are equal, up to rounding, and not zero."""
     steps = np.diff(values)
     return len(steps) > 0 and bool(steps[0] != 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))
 
 
 def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions of an even lattice that values lie on, and its step; None if they lie on none.
+    """Return the positions of an evenly spaced axis on which all values lie, and its step; None if there is none.
 
-    Positions in text are rounded, and whole rows may be missing.
+    The function accepts values that were rounded in a text, and axes of which some positions have no value.
     """
     low, high = float(np.min(values)), float(np.max(values))
     if not high > low:
         return None
-    # Equal positions differ by their rounding.
+    # Values are rounded before they are compared, because equal positions may differ by rounding errors.
     distinct = np.unique(np.round((values - low) / (high - low), 9)) * (high - low)
     steps = np.diff(distinct)
     for step in (float(np.median(steps)), float(np.min(steps))):

@@ -25,23 +25,25 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.reader_registry import Channels
 
-# Memory at the peak while a file is read [bytes per sample]: the library copies and scales. A doubled value refuses
-# files that fit.
+# Measured peak memory while a file is read [bytes per sample]; the library copies the samples several times. If
+# doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 64.0
-# Tag of the TIFF files of Park Systems that contains a constant, see their description of the format.
+# Number of the TIFF tag by which scans of Park Systems are recognised: the tag is in all of them, according to the
+# description of the format.
 _PARK_TAG = 50432
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
-# Largest number of entries of the directory of a TIFF file that are searched for the tag.
+# Largest number of tags of a TIFF file that are compared with the tag of Park Systems.
 _MOST_TAGS = 1000
-# First bytes of files whose suffixes are shared with other formats.
+# First bytes by which two formats are recognised that share their suffixes with other formats.
 _NANOSCOPE = (b"\\*File list", b"\\*Force file list", b"?*File list")
 _METROPRO = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
-# Words of channels that are no heights, although some programs state a length as their unit.
+# Words in the names of channels that contain no heights. Some programs state a length as the unit of such channels, so
+# that the unit does not exclude them.
 _OTHER_SIGNALS = ("amplitude", "error", "deflection", "phase", "friction", "lateral", "potential", "current")
 
 
 def _begins_with(*magic: bytes) -> Callable[[Path], bool]:
-    """Return a function of a path: whether the file begins with one of these bytes."""
+    """Return a function of a path that returns whether the file begins with one of the byte strings ``magic``."""
 
     def recognises(file: Path) -> bool:
         with file.open("rb") as stream:
@@ -51,7 +53,7 @@ def _begins_with(*magic: bytes) -> Callable[[Path], bool]:
 
 
 def _is_park(file: Path) -> bool:
-    """Whether a TIFF file is a scan of Park Systems: its pixels are a coloured preview, and a tag has the heights."""
+    """Whether a file is a scan of Park Systems: a TIFF file whose pixels are a preview, with the heights in a tag."""
     with file.open("rb") as stream:
         order = _TIFF.get(stream.read(4))
         if order is None:
@@ -65,8 +67,9 @@ def _is_park(file: Path) -> bool:
             return False
 
 
-# Formats: title, name in the library, suffixes, and how files of shared suffixes are recognised. Formats are absent
-# that the library reads without sizes (.h5, .mat), reads with wrong sizes (.nms), or that are profiles (.xlsx).
+# Formats that the library reads: title, name in the library, suffixes, and a function that recognises files if other
+# formats share the suffixes. Other formats of the library are absent, because it reads no sizes (.h5, .mat) or wrong
+# sizes (.nms), or because the files are profiles (.xlsx).
 _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None], ...] = (
     ("Alicona", "al3d", (".al3d",), None),
     ("BCR-STM", "bcr", (".bcr", ".bcrf"), None),
@@ -102,7 +105,7 @@ _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None],
 
 
 def _read(name: str, file: Path) -> Channels:
-    """List the channels of heights in a file of a format of the library."""
+    """Return the channels of a file that contain heights. ``name`` is the name of the format in the library."""
     try:
         from SurfaceTopography.IO import open_topography
     except ImportError as error:
@@ -117,9 +120,9 @@ def _read(name: str, file: Path) -> Channels:
     except MemoryError:
         raise
     except Exception as error:
-        # Readers of damaged files raise errors of many types.
+        # All exceptions are converted, because the library's readers raise many types of them for damaged files.
         raise _damaged(file, name, error) from None
-    # The library's own default comes first, unless its name says that it is another signal.
+    # The default channel of the library comes first, unless its name is that of another signal, such as a phase.
     listed.sort(key=lambda entry: (_is_other_signal(entry[1]), entry[0] != default))
     if not listed:
         raise refusal(file, "has no channel of heights with a unit of length on a grid; export the height channel")
@@ -131,7 +134,7 @@ def _read(name: str, file: Path) -> Channels:
 
 
 def _numbered(label: str) -> Iterator[str]:
-    """Return a name and its variants, for channels of the same name."""
+    """Yield a name, and then the name with the numbers 2, 3, …, for several channels of the same name."""
     yield label
     number = 2
     while True:
@@ -140,24 +143,24 @@ def _numbered(label: str) -> Iterator[str]:
 
 
 def _damaged(file: Path, name: str, error: Exception) -> ArgumentValueError:
-    """Return the error for a file that the library cannot read."""
+    """Return the error for a file that the library SurfaceTopography cannot read."""
     return refusal(
         file, f"cannot be read as a file of {name.upper()} ({one_line(error)}); export it again, or as .x3p or text"
     )
 
 
 def _name(channel: Any) -> str:
-    """Return the name of a channel on one line."""
+    """Return the name of a channel without line breaks; "height" if it has none."""
     return " ".join(str(channel.name).split()) or "height"
 
 
 def _is_other_signal(name: str) -> bool:
-    """Whether the name of a channel says that it is no height."""
+    """Whether the name of a channel is that of another signal than a height, such as a phase or a current."""
     return any(word in name.lower() for word in _OTHER_SIGNALS)
 
 
 def _is_height(channel: Any) -> bool:
-    """Whether a channel has heights on a grid: other signals have another unit, or a pair of units."""
+    """Whether a channel has heights on a grid: it has two dimensions, and its unit is a length or not stated."""
     if channel.dim != 2 or not isinstance(channel.unit, (str, type(None))):
         return False
     units = (channel.unit, channel.data_unit)
@@ -165,10 +168,10 @@ def _is_height(channel: Any) -> bool:
 
 
 def _content(channel: Any, file: Path, name: str) -> FileContent:
-    """Read a channel."""
+    """Read the heights of one channel of a file."""
     nx, ny = channel.nb_grid_pts
     require_memory(file, (ny, nx), _BYTES_PER_SAMPLE)
-    # The library requires a size; the pitch that it implies is not used.
+    # If the file states no size, the library requires one. The arbitrary size given here is discarded below.
     sizes = {} if channel.physical_sizes is not None else {"physical_sizes": (1.0, 1.0)}
     try:
         content = content_of(channel.topography(**sizes))
@@ -182,9 +185,10 @@ def _content(channel: Any, file: Path, name: str) -> FileContent:
 
 
 def content_of(topography: Any) -> FileContent:
-    """Return the heights of a 2-D topography of SurfaceTopography, as the picture that Gwyddion shows.
+    """Return the heights of a 2-D topography of SurfaceTopography, in the orientation in which Gwyddion shows them.
 
-    Its heights have the shape (nx, ny); their transpose needs no flip.
+    The heights of the library have the shape (nx, ny). Their transpose is in the order of the picture and is not
+    flipped.
     """
     for name in ("heights", "physical_sizes", "unit", "dim"):
         if not hasattr(topography, name):
@@ -213,7 +217,7 @@ def content_of(topography: Any) -> FileContent:
 
 
 def _flat(info: Any, prefix: str = "") -> dict[str, str]:
-    """Return nested metadata as text by dotted name, without the raw header."""
+    """Return nested metadata as text, with names like "instrument.name", and without the raw header of the file."""
     result: dict[str, str] = {}
     for key, value in dict(info).items():
         if key == "raw_metadata":
@@ -226,7 +230,7 @@ def _flat(info: Any, prefix: str = "") -> dict[str, str]:
 
 
 def _register() -> None:
-    """Register the formats of the library."""
+    """Register a reader for each of the formats of the library SurfaceTopography."""
     for title, name, suffixes, recognises in _FORMATS:
         register_reader(*suffixes, title=title, states="everything in the file", recognises=recognises, extra="scans")(
             functools.partial(_read, name)

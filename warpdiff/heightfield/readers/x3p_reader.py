@@ -1,6 +1,7 @@
 """Reader of ``.x3p`` files of ISO 25178-72: a zip archive of an XML header and of binary heights.
 
-It tolerates what writers get wrong and what does not change heights: revision, namespaces, folders, checksums.
+Files that deviate from the standard without an effect on the heights are accepted: other revisions, namespaces or
+folders, and wrong checksums.
 """
 
 from __future__ import annotations
@@ -17,21 +18,22 @@ from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, r
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Memory at the peak while a file is read [bytes per sample]: binary and float64 numbers, mask, and the height field. A
-# doubled value refuses files that fit.
+# Measured peak memory while a file is read [bytes per sample]: samples of the file, float64 heights, mask of missing
+# samples, and the height field. If doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 40.0
-# Size of the XML header above which a file is refused [bytes], for heights in the header about a million of them. It
-# limits time and memory; a compressed file may expand a thousandfold.
+# Size of the XML header above which a file is refused [bytes]. A header that contains the heights themselves has about
+# a million of them at this size. The limit stops compressed headers that expand a thousandfold.
 _MOST_XML_BYTES = 1 << 25
-# Nesting depth of the XML header above which a file is refused; files have 6 levels.
+# Nesting depth of XML elements above which a file is refused. The headers of the format have 6 levels.
 _MOST_DEPTH = 32
-# Number of members of an archive above which a file is refused; files have about 5.
+# Largest number of members of the archive that are searched for the XML header. The archives of the format have about
+# 5.
 _MOST_MEMBERS = 1000
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
-# Number of µm in the unit of the format, the metre.
+# Micrometres per metre, which is the unit of all lengths in the format.
 _UM_PER_M = 1e6
 _HEADER, _ARCHIVE, _RESOURCES = "main.xml", b"PK\x03\x04", "__MACOSX"
-# Entries of the header that become metadata.
+# Paths of the elements of the XML header that become metadata, by the name of the metadata.
 _METADATA = {
     "date": "Record2/Date", "vendor": "Record2/Instrument/Manufacturer", "instrument": "Record2/Instrument/Model",
     "serial": "Record2/Instrument/Serial", "version": "Record2/Instrument/Version", "creator": "Record2/Creator",
@@ -40,7 +42,7 @@ _METADATA = {
 
 
 def _is_x3p(file: Path) -> bool:
-    """Whether a file is an archive with a header of this format."""
+    """Whether a file is a zip archive that contains the XML header of the format."""
     with file.open("rb") as stream:
         if stream.read(4) != _ARCHIVE:
             return False
@@ -48,12 +50,12 @@ def _is_x3p(file: Path) -> bool:
         with zipfile.ZipFile(file) as archive:
             return _header_name(archive) is not None
     except Exception:
-        # Damaged archives raise errors of many types.
+        # All exceptions are caught, because damaged archives raise many types of them.
         return False
 
 
 def _header_name(archive: zipfile.ZipFile) -> str | None:
-    """Return the name of the XML header, which may be in a folder."""
+    """Return the name of the XML header in an archive, which may be in a folder; None if there is none."""
     for name in archive.namelist()[:_MOST_MEMBERS]:
         if name.rsplit("/", 1)[-1] == _HEADER and not name.startswith(_RESOURCES):
             return name
@@ -62,7 +64,7 @@ def _header_name(archive: zipfile.ZipFile) -> str | None:
 
 @register_reader(".x3p", title="X3P (ISO 25178-72)", states="everything in the file", recognises=_is_x3p)
 def read_x3p(file: Path) -> FileContent:
-    """Read a surface."""
+    """Read the heights and the pitch of a surface from an ``.x3p`` file."""
     try:
         archive = zipfile.ZipFile(file)
     except OSError:
@@ -81,17 +83,22 @@ def read_x3p(file: Path) -> FileContent:
 
 
 def _damaged(file: Path, reason: str) -> Exception:
-    """Return the error for a file that does not follow the format."""
+    """Return the error for a file that does not follow the format, with the reason."""
     return refusal(file, f"cannot be read as .x3p ({reason}); export it again")
 
 
 def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least: int = 0) -> bytes:
-    """Return the bytes of a member, at most so many, however many it expands to."""
+    """Return the bytes of a file in the archive.
+
+    An error is raised if it has fewer than ``least`` bytes, or more than ``most`` without ``least``. At most ``most`` +
+    1 bytes are decompressed.
+    """
     try:
         with archive.open(name) as stream:
             data = stream.read(most + 1)
     except Exception as error:
-        # The archive names members that it does not have; their compression is unknown; their checksum is wrong.
+        # Errors have many types: the member does not exist, its compression method is unknown, or its checksum is
+        # wrong.
         raise _damaged(file, f"{name}: {error}") from None
     if len(data) < least:
         raise _damaged(file, f"{name} has {len(data)} bytes, and the header states {least}")
@@ -101,15 +108,16 @@ def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least
 
 
 class _HeaderError(ValueError):
-    """Raised for a header with parts that are not read."""
+    """Raised for an XML header that lacks a required value, has an invalid one, or describes an unsupported surface."""
 
 
 class _Header:
-    """Texts of the XML header by their path, without namespaces; a list of heights is separate.
+    """Texts of the elements of the XML header, by their path without namespaces. Listed heights are stored separately.
 
     Attributes:
-        texts: Text by path below the root, such as ``"Record1/Axes/CX/Increment"``; the first of equal paths.
-        data: Texts of the heights in the header.
+        texts: Text of each element by its path below the root, such as ``"Record1/Axes/CX/Increment"``. Of several
+            elements with the same path, the first one counts.
+        data: Texts of the heights, if the header contains the heights themselves.
     """
 
     def __init__(self, xml: bytes) -> None:
@@ -118,7 +126,8 @@ class _Header:
         self._path: list[str] = []
         self._text: list[str] = []
         parser = expat.ParserCreate()
-        # Entities, which may expand without limit or name other files, require a document type.
+        # A document type is refused. Only with it could the header define entities, which may expand without limit or
+        # read other files.
         parser.StartDoctypeDeclHandler = self._refuse
         parser.StartElementHandler = self._begin
         parser.EndElementHandler = self._end
@@ -144,28 +153,28 @@ class _Header:
         self._text.clear()
 
     def number(self, path: str) -> float:
-        """Return a number; raise an error that names it if it is absent."""
+        """Return the number at a path of the header; raise an error if there is none."""
         try:
             return float(self.texts[path])
         except (KeyError, ValueError):
             raise _HeaderError(f"{path} is no number: {self.texts.get(path, '')[:40]!r}") from None
 
     def count(self, path: str) -> int:
-        """Return a positive integer."""
+        """Return the number of samples at a path of the header; raise an error unless it is a positive integer."""
         value = self.number(path)
         if not (1.0 <= value < 2**31 and value == int(value)):
             raise _HeaderError(f"{path} is no number of samples: {value:g}")
         return int(value)
 
     def check_layers(self) -> None:
-        """Refuse several surfaces in one file."""
+        """Raise an error if the file contains several surfaces (layers)."""
         layers = self.texts.get("Record3/MatrixDimension/SizeZ", "1")
         if layers != "1":
             raise _HeaderError(f"it has {layers[:20]} layers, and one is read")
 
 
 def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header) -> FileContent:
-    """Return the surface that a header describes."""
+    """Return the heights and the pitch of the surface that the XML header describes."""
     kind = header.texts.get("Record1/FeatureType", "SUR")
     if kind != "SUR":
         names = {"PRF": "a profile", "PCL": "a cloud of points without a grid"}
@@ -184,14 +193,14 @@ def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header)
         size = -(-heights.size // 8)
         bits = np.frombuffer(_member(archive, folder + mask, size, file, least=size), np.uint8)[:size]
         heights[np.unpackbits(bits, bitorder="little")[: heights.size].reshape(shape) == 0] = np.nan
-    # Alicona's program writes infinity for a missing sample.
+    # Some programs of the manufacturer Alicona write infinity for a missing sample.
     heights[~np.isfinite(heights)] = np.nan
     metadata = {name: header.texts[path] for name, path in _METADATA.items() if path in header.texts}
     return FileContent(_UM_PER_M * heights, (pitch[0], pitch[1]), rows="up", metadata=metadata)
 
 
 def _increment(header: _Header, axis: str) -> float:
-    """Return the distance of samples along an axis [µm]."""
+    """Return the distance of samples along an axis [µm], ``"CX"`` or ``"CY"``."""
     path = f"Record1/Axes/{axis}"
     if header.texts.get(f"{path}/AxisType", "I") != "I":
         raise _HeaderError(f"positions along {axis} are stated one by one, and a regular grid is required")
@@ -202,7 +211,7 @@ def _increment(header: _Header, axis: str) -> float:
 
 
 def _of_member(file: Path, archive: zipfile.ZipFile, name: str, header: _Header, shape: tuple[int, int]) -> np.ndarray:
-    """Return heights [m] of a binary member."""
+    """Return the heights [m] from a binary file in the archive."""
     letter = header.texts.get("Record1/Axes/CZ/DataType", "")
     if letter not in _TYPES:
         raise _HeaderError(f"heights are of an unknown type {letter[:20]!r}")
@@ -213,13 +222,13 @@ def _of_member(file: Path, archive: zipfile.ZipFile, name: str, header: _Header,
 
 
 def _scaled(samples: np.ndarray, header: _Header) -> np.ndarray:
-    """Return the heights [m] of integer samples."""
+    """Convert integer samples to heights [m] by the increment and the offset in the header."""
     offset = header.number("Record1/Axes/CZ/Offset") if "Record1/Axes/CZ/Offset" in header.texts else 0.0
     return samples * header.number("Record1/Axes/CZ/Increment") + offset
 
 
 def _of_list(header: _Header, shape: tuple[int, int]) -> np.ndarray:
-    """Return heights [m] of a list in the header, whose points are "z" or "x;y;z"."""
+    """Return the heights [m] that the XML header lists as text, each as "z" or as "x;y;z"."""
     if len(header.data) != math.prod(shape):
         raise _HeaderError(f"it lists {len(header.data)} heights, and the header states {math.prod(shape)}")
     last = (text.replace(",", ";").rsplit(";", 1)[-1].strip() for text in header.data)

@@ -38,7 +38,7 @@ function changed() {
   requestPicture();
 }
 
-// Requests a picture. Between two display frames of the browser, at most one request is sent.
+// Requests a picture. In each frame that the browser displays, at most one request is sent.
 let isScheduled = false;
 function requestPicture() {
   if (isScheduled) return;

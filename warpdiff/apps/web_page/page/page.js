@@ -5,15 +5,15 @@
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// Number of frames that a picture at rest averages. Each of these frames is blurred by only a fraction of the pixel
-// filter's standard deviation; the jittered positions of the frames make up the rest.
+// First number: frames that a picture at rest averages. Second number: standard deviation of the blur of one frame,
+// relative to that of the pixel filter. The jittered positions of the frames add the rest of the filter.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
 // Pixel filter [pixels]: parameter σ of the Gaussian, distance at which it is truncated, and standard deviation of the
 // truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
-// Texels per side of a shadow map. With a single light, this many frames share one shadow map.
+// First number: texels per side of a shadow map. Second number: frames that share a shadow map if there is one light.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
@@ -156,10 +156,10 @@ const SIZE = Math.min(Number(new URLSearchParams(location.search).get("size")) |
     gl.getParameter(gl.MAX_TEXTURE_SIZE));
 const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
-// Limit on the texture fetches of a fragment. Each tap along a footprint fetches every layer. Further fetches are one
-// per group of functions of w, one per wavelength of the zeroth order, and one each for shadow and base colour. TAPS is
-// the largest number of taps that these leave. DEVIATIONS is the extent of the taps to either side of a footprint's
-// centre, and STEP their distance, both in standard deviations.
+// A fragment may use at most MOST_FETCHES texture fetches. At each of TAPS points along a footprint, it fetches every
+// layer of the grid. It also fetches every group of functions of w, every wavelength of the zeroth order, the shadow
+// and the base colour. TAPS is the largest number of points for which the fetches suffice. The points extend over
+// DEVIATIONS standard deviations of the footprint to either side, and are STEP standard deviations apart.
 const MOST_FETCHES = 64;
 const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
@@ -417,8 +417,8 @@ function makeShadows() {
     return { map, target };
 }
 
-// Draws the mesh. For the picture (`seen`), back faces of a closed mesh are left out: the rasterizer rounds vertex
-// positions, so that back faces would show through gaps along edges, and such pixels would sparkle.
+// Draws the mesh. If `seen` is true, the drawn faces appear in the picture, and back faces of a closed mesh are
+// omitted. Rounded vertex positions leave gaps along edges, through which back faces would show as sparkling pixels.
 function drawMesh(seen = true) {
     if (header.closed && seen) gl.enable(gl.CULL_FACE);
     else gl.disable(gl.CULL_FACE);

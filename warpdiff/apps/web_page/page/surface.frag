@@ -78,8 +78,8 @@ vec3 others(vec2 uv, float w, vec3 covariance) {
     float lod = level + (blur2 / own2 + 1.0 - scale) / (3.0 * scale);
     float along = sqrt(max(most2 - blur2, 0.0)), ratio = along / sqrt(blur2);
     int taps = ratio < 0.1 ? 1 : min(1 + int(ceil(2.0 * DEVIATIONS * ratio / STEP)), TAPS);
-    // The taps have the variance that the long axis lacks after the blur of the mip level. Their distance is scaled
-    // such that this holds for any number of taps.
+    // The weighted taps must have the variance that the long axis has in addition to the blur of the mip level. The
+    // distance of the taps is scaled so that this variance is exact for any number of taps.
     float apart = taps > 1 ? 2.0 * DEVIATIONS / float(taps - 1) : 0.0, centre = 0.5 * float(taps - 1), variance = 0.0;
     float whole = 0.0;
     for (int k = 0; k < taps; ++k) {
@@ -116,7 +116,8 @@ vec2 changes(vec3 position, vec3 normal, vec3 tangent, mat3 frame, vec3 toView, 
              float clamped, float tilt, float perTangent, vec3 toLight, float perLight) {
     vec3 turn = turns(position, toView, 1.0 / distance) * frame, view = toView * frame;
     vec2 ofNormal = perNormal * (normal * frame).xy;
-    // A normal that was turned towards the viewer, because it faced away, has a constant angle with the view direction.
+    // An interpolated normal that faces away from the viewer was turned until it has a fixed angle to the view
+    // direction. Its derivative must keep this angle.
     ofNormal -= clamped * (dot(ofNormal, view.xy) + turn.z) * view.xy;
     float round_ = perTangent * (dot(tangent, frame[1]) - tilt * ofNormal.y);
     return vec2(round_ * sum.y, -round_ * sum.x) - ofNormal * sum.z + turn.xy
@@ -127,7 +128,7 @@ void main() {
     vec3 away = eye - vPosition, toView = normalize(away);
     vec3 geometric = normalize(cross(dFdx(vPosition), dFdy(vPosition)));
     geometric *= dot(geometric, toView) < 0.0 ? -1.0 : 1.0;
-    // On back faces the normal is reversed.
+    // On back faces, the normal is reversed, so that it points to the viewer.
     float side = gl_FrontFacing ? 1.0 : -1.0, size = length(vNormal);
     bool blends = smoothNormals && size > 1e-4;
     vec3 n = blends ? vNormal * (side / size) : geometric;
