@@ -310,7 +310,7 @@ OWNERS = {
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
-    "Table": lambda: wd.Table({"number": [1.0]}),
+    "Roughness": WAVY.roughness, "Table": lambda: wd.Table({"number": [1.0]}),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
@@ -337,7 +337,8 @@ LEGAL_OF = {
     "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
 }  # fmt: skip
 LEGAL_OF |= {
-    f"{name}.save": {"path": "a.csv"} for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Table")
+    f"{name}.save": {"path": "a.csv"}
+    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Roughness", "Table")
 }
 LEGAL_OF |= {
     "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},

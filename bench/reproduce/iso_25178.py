@@ -80,10 +80,10 @@ def of_surfalize(heightfield: wd.HeightField) -> dict[str, float]:
     from surfalize import Surface
 
     dy, dx = heightfield.pitch_um
-    surface = Surface(heightfield.levelled().heights_um, dx, dy)
     with warnings.catch_warnings():
-        # It warns where Str is not determined.
-        warnings.simplefilter("ignore", RuntimeWarning)
+        # It warns of pixels that are not square, and where Str is not determined.
+        warnings.simplefilter("ignore")
+        surface = Surface(heightfield.levelled().heights_um, dx, dy)
         return {name: float(getattr(surface, name)()) for name in NAMES}
 
 

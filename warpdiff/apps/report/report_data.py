@@ -55,7 +55,7 @@ _LEAST_SINE = 1e-9
 
 @dataclass(frozen=True)
 class Request:
-    """What a report is about, as its caller states it.
+    """Arguments of a report, checked.
 
     Attributes:
         heightfield: Field as given.
@@ -83,7 +83,7 @@ class ReportData:
     """Results of a report; `collect` fills them. A result that could not be found is None, and ``reasons`` says why.
 
     Attributes:
-        request: What the report is about.
+        request: Arguments of the report.
         part: Part of the field that periods and optics are computed from, with gaps; the field unless it is large.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
@@ -160,7 +160,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     """Compute all parts of a report.
 
     Args:
-        request: What the report is about.
+        request: Arguments of the report.
         progress: Function that is called with the finished share, 0 to 1.
     """
     part = central_part(request.heightfield)
