@@ -31,7 +31,7 @@ _ROUNDING = 1e-10
 # Least length of a block along an axis, in decay lengths of the autocorrelation. Fitted:
 # bench/reproduce/iso_25178.py, so that two standard errors contain the value of the surface in 95 % of fields. If
 # halved, errors are too small.
-_DECAYS_PER_BLOCK = 4.0
+_DECAYS_PER_BLOCK = 5.0
 # Largest number of blocks along an axis, of a field and of a profile. Limit: an error from 64 blocks is known to 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
 # Least number of blocks for a standard error: quarters. If halved, errors are known to a factor of 4 only.

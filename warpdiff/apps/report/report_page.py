@@ -240,16 +240,16 @@ def _roughness(data: ReportData) -> str:
 def _periods(data: ReportData) -> str:
     if not data.periods:
         return _absent(data, "periods")
-    rows = [
-        (
-            k, f"{with_error(period.period_um, period.standard_error_um)} µm", f"{period.direction_deg:.1f}°",
+    rows = []
+    for k, period in enumerate(data.periods, 1):
+        angle = round(period.direction_deg, 1) + 0.0
+        rows.append((
+            k, f"{with_error(period.period_um, period.standard_error_um)} µm", f"{angle:.1f}°".replace("-", "−"),
             f"{1e3 * period.harmonics_um[0]:.3g} nm", f"{100.0 * period.share:.3g} %",
             "constant phase" if period.is_coherent else "phase varies",
-        )
-        for k, period in enumerate(data.periods, 1)
-    ]  # fmt: skip
-    names = ["", "Period ± standard error", "Direction", "Amplitude", "Share of variance", "Wave"]
-    names = ["No." + RIGHT, *(name + RIGHT for name in names[1:5]), "Wave"]
+        ))  # fmt: skip
+    numbers = ("No.", "Period ± standard error", "Direction", "Amplitude", "Share of variance")
+    names = [*(name + RIGHT for name in numbers), "Wave"]
     return table_of(names, rows) + paragraph(
         "The direction is that of the wave vector, from x towards y. The error of a period includes its variation over "
         "the field. Directions, amplitudes and shares describe this field alone and have no error."
