@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
+from warpdiff.core import memory
 
 PERIOD, WAVELENGTHS = 2.5, [450.0, 650.0]
 
@@ -76,9 +77,11 @@ def test_a_measured_field_gives_its_periods_and_a_cell_its_size():
     ("source", "light", "error", "message"),
     [("2 µm", (0, 0, 1), TypeError, "source must be a warpdiff.HeightField, or periods .* got str"),
      ((), (0, 0, 1), ValueError, "source must have at least one period, got none"),
+     (period(1e9), (0, 0, 1), MemoryError, "angles of .* orders .* take a smaller most_order"),
      (period(), (1, 0, 0), ValueError, "to_light must be above the horizon"),
      (wd.HeightField.of_known_scale([[0.1]], 1.0), (0, 0, 1), ValueError, "source must have a period")],
 )  # fmt: skip
-def test_sources_without_periods_and_lights_below_the_horizon_are_refused(source, light, error, message):
+def test_requests_without_a_period_a_light_or_memory_are_refused(source, light, error, message, monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 1e9)
     with pytest.raises(error, match=message):
-        wd.order_angles(source, light, 550.0)
+        wd.order_angles(source, light, 550.0, most_order=2**40)

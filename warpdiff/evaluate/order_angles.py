@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
 
-from warpdiff.core import validation
+from warpdiff.core import memory, validation
 from warpdiff.core.angles import angles_deg
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+# Memory per order and wavelength [bytes], as measured.
+_BYTES_PER_ORDER = 150
 # Smallest sine of an angle from the normal that is used as a divisor; it prevents a division by zero.
 _LEAST_SINE = 1e-12
 
@@ -65,14 +68,22 @@ def order_angles(
     if light[2] <= HORIZON:
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths_um = 1e-3 * colorimetry.check_wavelengths(wavelengths_nm)
-    orders = np.arange(-most_order, most_order + 1)
+    waves = _waves(source)
+    # Both directions have components of at most 1 along the wave vector, so that |mλ/P| is at most 2.
+    highest = [min(most_order, math.floor(2.0 * period / wavelengths_um.min())) for _, period, _ in waves]
+    memory.require_memory(
+        _BYTES_PER_ORDER * len(wavelengths_um) * sum(2 * order + 1 for order in highest),
+        f"angles of {sum(highest)} orders at {len(wavelengths_um)} wavelengths",
+        f"take a smaller {ref('most_order')}, or fewer wavelengths at a time",
+    )
     columns: dict[str, list[NDArray[Any]]] = {
         name: []
         for name in (
             "period_um", "wavelength_nm", "order", "view_theta_deg", "view_phi_deg", "standard_error_deg",
         )
     }  # fmt: skip
-    for frequency, period, error in _waves(source):
+    for (frequency, period, error), most in zip(waves, highest, strict=True):
+        orders = np.arange(-most, most + 1)
         # Shape (wavelengths, orders, 2), in the order (x, y).
         steps = wavelengths_um[:, None, None] * orders[:, None] * frequency[::-1]
         tangential = steps - light[:2]

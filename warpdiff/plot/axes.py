@@ -81,6 +81,13 @@ def clean_grid(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
+def start_at_zero(ax: Axes) -> None:
+    """Let the y axis of quantities that are not negative begin at 0."""
+    _, top = ax.get_ylim()
+    if top > 0.0 and ax.get_yscale() == "linear":
+        ax.set_ylim(0.0, top)
+
+
 def add_scale_bar(ax: Axes, width_um: float) -> None:
     """Draw a scale bar into the lower left corner of a map.
 

@@ -13,7 +13,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, re
 from warpdiff.evaluate.orders import OrderEfficiencies  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
 from warpdiff.optics import colorimetry
-from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style
+from warpdiff.plot.axes import LINE_COLOURS, axes_for, clean_grid, line_style, start_at_zero
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def orders(
     else:
         text = _draw_over_angles(ax, efficiencies)
     ax.set_ylabel("efficiency [% of the incident power]")
-    ax.set_ylim(bottom=0.0)
+    start_at_zero(ax)
     ax.set_title(text if title is None else title)
     clean_grid(ax)
     return ax
@@ -156,7 +156,7 @@ def spectra(
     ax.set_xlabel("wavelength [nm]")
     ax.set_ylabel("relative reflectance")
     ax.margins(x=0.0)
-    ax.set_ylim(bottom=0.0)
+    start_at_zero(ax)
     name = "Reflectance spectra" if len(rows) > 1 else "Reflectance spectrum"
     ax.set_title(name if title is None else title)
     clean_grid(ax)

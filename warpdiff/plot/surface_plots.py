@@ -260,7 +260,7 @@ def _draw_line(
     """Draw the spectrum of a field that is constant along an axis."""
     positive = frequencies > 0.0
     # The power at negative frequencies is added, so that the integral over positive ones is the variance.
-    ax.semilogy(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
+    ax.loglog(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
     for index, period in enumerate(periods):
         ax.axvline(
             float(np.hypot(*period.frequency)), color=LINE_COLOURS[1 + index], linestyle="--", label=_words(period)
