@@ -22,7 +22,7 @@ _BYTES_PER_SAMPLE = {
     "periodic": 62.0,
     "periods": 107.0,
     "whole_periods": 107.0,
-    "roughness": 107.0,
+    "roughness": 115.0,
 }
 
 
