@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.heightfield.diagnostics import HeightFieldSummary
     from warpdiff.heightfield.periods import Periods
     from warpdiff.heightfield.roughness import Roughness
     from warpdiff.heightfield.theory_verdict import TheoryVerdict
@@ -87,7 +86,6 @@ class ReportData:
         part: Part of the field that periods and optics are computed from, with gaps; the field unless it is large.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
-        summary: Summary of ``part``.
         periods: Periods of ``part``, strongest first.
         roughness: ISO 25178 parameters of the whole field.
         verdicts: Verdict at each wavelength.
@@ -105,7 +103,6 @@ class ReportData:
     part: HeightField
     to_light: NDArray[np.float64]
     azimuth_deg: float = 0.0
-    summary: HeightFieldSummary | None = None
     periods: Periods | None = None
     roughness: Roughness | None = None
     verdicts: tuple[TheoryVerdict, ...] | None = None
@@ -173,7 +170,6 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     # A plane fitted to a single period of a grating is a part of it.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
-    data.summary = data.attempt("summary", part.summary)
     _set_geometry(data)
     optical = data.attempt("optics", lambda: _optical(part))
     if optical is None:
