@@ -10,6 +10,7 @@ import pytest
 
 import warpdiff as wd
 from warpdiff.apps.report.report_data import Request, collect
+from warpdiff.apps.report.report_figures import figures_of
 from warpdiff.apps.report.report_numbers import numbers_of
 from warpdiff.apps.report.report_page import page_of
 
@@ -145,13 +146,24 @@ def test_results_that_cannot_be_found_have_a_reason_on_the_page(monkeypatch):
         monkeypatch.setattr(f"warpdiff.apps.report.report_data.{name}", refuse)
     data = collect(request(wd.HeightField([[0.0, 0.1, 0.05, 0.2]] * 4, 0.1)), lambda _: None)
     assert {"periods", "orders", "colours", "map"} <= set(data.reasons)
-    with monkeypatch.context() as context:
-        context.setattr("warpdiff.apps.report.report_page._surface", lambda *_: "")
-        figure = type("Figure", (), {"name": "surface", "uri": "", "alt": "", "caption": "", "is_wide": True})
-        text = page_of(data, numbers_of(data, "title"), [figure], [])
+    text = page_of(data, numbers_of(data, "title"), [], [])
     for name in ("Orders", "Colours", "The map"):
         assert f"{name} w" in text
     assert text.count("requires more memory than is free") == 3
+
+
+def test_a_picture_that_cannot_be_drawn_has_a_reason(monkeypatch):
+    def refuse(*_, **__):
+        raise ValueError("the aspect is extreme")
+
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
+    data = collect(request(wd.HeightField([[0.0, 0.1, 0.05, 0.2]] * 4, 0.1)), lambda _: None)
+    monkeypatch.setattr("warpdiff.plot.height_map", refuse)
+    figures = figures_of(data)
+    assert "surface" not in [figure.name for figure in figures]
+    assert data.reasons["picture of surface"] == "the aspect is extreme"
+    text = page_of(data, numbers_of(data, "title"), figures, [])
+    assert "The picture cannot be drawn:</b> the aspect is extreme" in text
 
 
 def test_warnings_are_collected_on_the_page(rng, monkeypatch):
@@ -180,6 +192,22 @@ def test_a_single_period_counts_as_a_grating_and_its_plane_is_kept(monkeypatch):
     assert data.roughness.order == 0
     assert data.roughness["Sq"].value > 0.05
     assert data.orders["m_x"].tolist() == list(range(-1, 6))
+
+
+def test_a_wide_scan_has_the_orders_of_its_middle(monkeypatch):
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MOST_PATCH_ORDERS", 2500.0)
+    x = 0.2 * np.arange(200)
+    data = collect(
+        request(wd.HeightField(0.05 * np.cos(2.0 * np.pi * x / 2.0) + np.zeros((50, 1)), 0.2)), lambda _: None
+    )
+    # 50 orders along each axis at 550 nm are 13.75 µm.
+    assert data.patch_um == pytest.approx((10.0, 13.8), abs=0.2)
+    exact = wd.order_efficiencies(wd.gratings.sinusoidal(2.0, 0.1), data.to_light, 550.0)
+    table = data.orders.columns
+    for order in (0, 1):
+        value = float(table["efficiency"][table["order"] == order][0])
+        assert value == pytest.approx(float(exact[0, order][0]), rel=0.1)
 
 
 def test_arguments_are_checked_before_anything_is_computed(tmp_path, rng):

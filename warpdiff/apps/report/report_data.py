@@ -43,6 +43,11 @@ ANGLES_DEG = np.arange(-89.5, 89.6, 0.25)
 _MAP_PIXELS = 300
 # Largest order whose angle is listed. Limit: higher ones are far below any noise.
 _MOST_ORDER = 20
+# Largest number of orders of the part of a field that optics are computed from: a square of 100 µm at 450 nm, which is
+# wider than the default coherence window. Limit: seconds. If doubled, the time doubles.
+_MOST_PATCH_ORDERS = 2e5
+# Share of the field along an axis from which a part is the field: rounding.
+_WHOLE = 0.999
 # Number of orders up to which a field without a repetition counts as one period of a grating. Limit: a table of a page.
 # Patches of rough surfaces have thousands.
 _MOST_CELL_ORDERS = 60
@@ -83,7 +88,7 @@ class ReportData:
 
     Attributes:
         request: Arguments of the report.
-        part: Part of the field that periods and optics are computed from, with gaps; the field unless it is large.
+        part: Part of the field that periods are computed from, with gaps; the field unless it has many samples.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
         periods: Periods of ``part``, strongest first.
@@ -91,6 +96,7 @@ class ReportData:
         verdicts: Verdict at each wavelength.
         efficiencies: Efficiencies of the orders that are drawn.
         orders: Table of the orders.
+        patch_um: Extent (y, x) of the part of the field that optics are computed from [µm].
         is_cell: Whether the field counts as one period of a grating: nothing repeats, and it has few orders.
         colours: CIE XYZ over the view angle by coherence window [µm], shape (n, 3) each.
         map: Reflectance map.
@@ -108,6 +114,7 @@ class ReportData:
     verdicts: tuple[TheoryVerdict, ...] | None = None
     efficiencies: OrderEfficiencies | None = None
     orders: Table | None = None
+    patch_um: tuple[float, float] = (0.0, 0.0)
     is_cell: bool = False
     colours: dict[float, NDArray[np.float64]] = field(default_factory=dict)
     map: Image | None = None
@@ -127,8 +134,14 @@ class ReportData:
 
     @property
     def is_cropped(self) -> bool:
-        """Whether periods and optics are those of a part of the field."""
+        """Whether periods are those of a part of the field."""
         return self.part is not self.request.heightfield
+
+    @property
+    def has_patch(self) -> bool:
+        """Whether optics are those of a part of the field."""
+        shares = (own / whole for own, whole in zip(self.patch_um, self.request.heightfield.size_um, strict=True))
+        return 0.0 < min(shares) < _WHOLE
 
     def attempt(self, name: str, compute: Callable[[], _T]) -> _T | None:
         """Return a result, or None with the reason in ``reasons``; its warnings are collected."""
@@ -171,11 +184,12 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
-    optical = data.attempt("optics", lambda: _optical(part))
+    optical = data.attempt("optics", lambda: _patch(_optical(part), float(request.wavelengths_nm.min())))
     if optical is None:
         for name in ("verdicts", "orders", "colours", "map", "comparison"):
             data.reasons[name] = data.reasons["optics"]
         return data
+    data.patch_um = optical.size_um
     data.verdicts = data.attempt(
         "verdicts", lambda: tuple(verdict_on(optical, nm) for nm in request.wavelengths_nm.tolist())
     )
@@ -250,7 +264,8 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
     """
     try:
         periods = central_part(heightfield).periods()
-    except MemoryError:
+    except (ValueError, MemoryError):
+        # The report states the reason.
         periods = None
     if not periods:
         return 0.0 if heightfield.shape[1] > 1 else 90.0
@@ -286,6 +301,16 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     })  # fmt: skip
 
 
+def _patch(optical: HeightField, wavelength_nm: float) -> HeightField:
+    """Return the middle of a field that has too many orders, or the field itself."""
+    if _order_count(optical, wavelength_nm) <= _MOST_PATCH_ORDERS:
+        return optical
+    axes = sum(n > 1 for n in optical.shape)
+    most = 5e-4 * wavelength_nm * _MOST_PATCH_ORDERS ** (1.0 / axes)
+    ly, lx = (min(max(most, pitch), size) for pitch, size in zip(optical.pitch_um, optical.size_um, strict=True))
+    return optical.cropped((ly, lx))
+
+
 def _of_periods(
     data: ReportData, periods: Periods, result: OrderEfficiencies, model: NDArray[np.float64]
 ) -> tuple[Table, OrderEfficiencies]:
@@ -300,8 +325,7 @@ def _of_periods(
     numbers = numbers[(numbers[:, 0] == 0) | (numbers[:, 1] != 0)]
     waves = np.array([period.frequency for period in periods])
     centres = numbers[:, 1:] * waves[numbers[:, 0]]
-    size = np.array(data.part.size_um)
-    own = result.orders / size
+    own = result.orders / np.array(data.patch_um)
     radius = 0.5 * float(np.min(np.hypot(*waves.T)))
     nearest = np.empty(len(own), dtype=int)
     is_near = np.empty(len(own), dtype=bool)

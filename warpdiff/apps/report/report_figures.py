@@ -15,7 +15,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.plot.axes import clean_grid, line_style
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from warpdiff.apps.report.measured_curve import CurveComparison
     from warpdiff.apps.report.report_data import ReportData
@@ -60,19 +60,21 @@ def check_matplotlib() -> None:
         ) from error
 
 
-def figures_of(data: ReportData) -> Iterator[Figure]:
-    """Draw the pictures of all results that were found."""
-    yield _surface(data)
+def figures_of(data: ReportData) -> list[Figure]:
+    """Draw the pictures of all results that were found. The reason of one that cannot be drawn is in the data."""
+    drawings: dict[str, Callable[[], Figure]] = {"surface": lambda: _surface(data)}
     if data.periods is not None and not data.is_cell and not data.is_flat:
-        yield _spectrum(data)
-    if data.efficiencies is not None:
-        yield _orders(data, data.efficiencies)
+        drawings["periods"] = lambda: _spectrum(data)
+    if (efficiencies := data.efficiencies) is not None:
+        drawings["orders"] = lambda: _orders(data, efficiencies)
     if data.colours:
-        yield _colours(data)
-    if data.map is not None:
-        yield _map(data, data.map)
-    if data.comparison is not None:
-        yield _comparison(data.comparison)
+        drawings["colours"] = lambda: _colours(data)
+    if (image := data.map) is not None:
+        drawings["map"] = lambda: _map(data, image)
+    if (comparison := data.comparison) is not None:
+        drawings["comparison"] = lambda: _comparison(comparison)
+    figures = (data.attempt(f"picture of {name}", draw) for name, draw in drawings.items())
+    return [figure for figure in figures if figure is not None]
 
 
 def _drawn(

@@ -31,7 +31,7 @@ def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
             "source": _source(data),
         },
         "history": list(field.history),
-        "evaluated_part_um": list(data.part.size_um),
+        "periods_part_um": list(data.part.size_um), "optics_part_um": list(data.patch_um),
         "light": {
             "to_light": data.to_light.tolist(), "angle_deg": data.light_deg, "azimuth_deg": data.azimuth_deg,
             "illuminant": str(request.illuminant),

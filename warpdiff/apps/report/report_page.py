@@ -26,6 +26,8 @@ _MOST_ORDERS = 15
 _MOST_METADATA = 30
 # Length of a text from the metadata [characters]. Limit: some contain whole logs.
 _MOST_TEXT = 200
+# Prefix of the names of pictures in the reasons of absent results.
+_PICTURE = "picture of "
 # Azimuth of the y axis [degrees].
 _Y_DEG = 90.0
 # Component of a direction across the plane of the light below which it is in the plane: 0.06°.
@@ -58,8 +60,13 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
         names: Names of the other files of the report.
     """
     pictures = {figure.name: _figure(number, figure) for number, figure in enumerate(figures, 1)}
+    pictures |= {
+        name.removeprefix(_PICTURE): f'<p class="absent"><b>The picture cannot be drawn:</b> {text_of(reason)}.</p>\n'
+        for name, reason in data.reasons.items()
+        if name.startswith(_PICTURE)
+    }
     sections = [
-        ("Surface", _surface(data, numbers) + pictures["surface"]),
+        ("Surface", _surface(data, numbers) + pictures.get("surface", "")),
         ("Roughness (ISO 25178-2)", _roughness(data)),
         ("Periods", _periods(data) + pictures.get("periods", "")),
         ("Reliability of scalar diffraction", _theory(data)),
@@ -205,12 +212,17 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
     )
     part = ""
     if data.is_cropped:
-        ly, lx = data.part.size_um
-        part = paragraph(
-            f"Periods, reliability, orders and colours are those of the middle of the field, {lx:.4g} × {ly:.4g} µm, "
-            "because the field is large."
+        part = paragraph(f"Periods are those of the middle of the field, {_extent(data.part.size_um)}.")
+    if data.has_patch:
+        part += paragraph(
+            f"Reliability, orders and colours are those of the middle of the field, {_extent(data.patch_um)}, because "
+            "the field is large."
         )
     return facts_table(facts) + history + part
+
+
+def _extent(size_um: tuple[float, float]) -> str:
+    return f"{size_um[1]:.4g} × {size_um[0]:.4g} µm (x × y)"
 
 
 def _clipped(value: str) -> str:
@@ -363,7 +375,7 @@ def _colours(data: ReportData) -> str:
     if not data.colours:
         return ""
     tolerance = data.request.settings.get("tolerance", 0.01)
-    repeated = [f"{sigma:g}" for sigma in data.colours if 4.0 * sigma > max(data.part.size_um)]
+    repeated = [f"{sigma:g}" for sigma in data.colours if 4.0 * sigma > max(data.patch_um)]
     text = ""
     if repeated and not data.is_cell and not data.is_flat:
         text = (

@@ -85,8 +85,9 @@ def report(
     the view angle, and a reflectance map. Each number has its error, or the reason why it has none. A field without
     some of these results has a page that says what could not be found. The report requires the extra ``plot``.
 
-    Missing samples are interpolated for optics; other cleaning is yours, see `HeightField.levelled`. Periods and optics
-    of a field with more than 1,536 samples along an axis are those of the part in its middle.
+    Missing samples are interpolated for optics; other cleaning is yours, see `HeightField.levelled`. Periods of a field
+    with more than 1,536 samples along an axis are those of the part in its middle, and optics of a field wider than
+    about 100 µm as well.
 
     Args:
         heightfield: Height field, cleaned as it should be reported.
@@ -133,11 +134,10 @@ def report(
     target = _folder(folder)
     announce = reporter(progress, "report") or (lambda _: None)
     data = collect(request, announce)
-    name = _title(heightfield) if title is None else title
-    numbers, tables = numbers_of(data, name), tables_of(data)
-    page = report_page.page_of(
-        data, numbers, list(figures_of(data)), ["report.json", *(f"{key}.csv" for key in tables)]
-    )
+    figures = figures_of(data)
+    numbers = numbers_of(data, _title(heightfield) if title is None else title)
+    tables = tables_of(data)
+    page = report_page.page_of(data, numbers, figures, ["report.json", *(f"{key}.csv" for key in tables)])
     paths = _write(target, page, numbers, tables)
     announce(1.0)
     return ScanReport(paths[0], paths, numbers, dict(data.reasons), tuple(data.warnings))
