@@ -59,9 +59,7 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
 
 @wp.kernel
 def trace_bvh(
-    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
     """Find the first face that each ray hits, by the hierarchy of bounding boxes.

@@ -137,7 +137,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
-        """Return the Gaussian window for one direction to the light, at λ = 1 µm for a source."""
+        """Return the Gaussian window over coefficients for one direction to the light.
+
+        Under a source its width depends on the wavelength, and the returned window is that of λ = 1 µm.
+        """
         window = Window()
         if wp.static(form == "source"):
             # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,
@@ -345,10 +348,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
-        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
-        # Outputs of the kernel:
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
         """Add the XYZ of each direction to ``xyz_out``: its integral over a set of wavelengths, times its gain."""
@@ -403,10 +404,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def sample(
-        # Inputs of the kernel:
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), wavenumbers: wp.array(dtype=wp.float64), first: wp.int32,
-        # Outputs of the kernel:
         reflectance_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
         """Compute ρ of each direction at each of the given wavelengths."""

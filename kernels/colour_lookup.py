@@ -140,10 +140,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     # kernel instead of two: see ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
-        # Inputs of the kernel:
         values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
         run: wp.int32,
-        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
@@ -168,9 +166,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def blur(
-        # Inputs of the kernel:
         table: Colours, source: wp.int32, level: wp.int32, octave: wp.int32, first: wp.int32, run: wp.int32,
-        # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
@@ -234,11 +230,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
-        # Inputs of the kernel:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, run: wp.int32,
         first: wp.int32,
-        # Outputs of the kernel:
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times their gains; ``footprints`` may be empty.

@@ -37,11 +37,9 @@ def on_disc(point: wp.vec2f) -> wp.vec2f:
 
 @wp.kernel
 def draw_disc(
-    # Inputs of the kernel:
     lights: Lights, light_index: wp.int32, extent: wp.float32, lobe: wp.float32, pixels: Pixels,
     tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
     """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.

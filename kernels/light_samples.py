@@ -78,11 +78,9 @@ def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32
 
 @wp.kernel
 def scattering_vectors(
-    # Inputs of the kernel:
     pixels: Pixels, lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), reflection: Reflection,
     weight: wp.float64, counted: wp.float64, begins: wp.bool, resets: wp.bool, occluded: wp.array(dtype=wp.bool),
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -152,10 +150,8 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
 
 @wp.kernel
 def balance_energy(
-    # Inputs of the kernel:
     scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f), reflection: Reflection,
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     """Multiply gains by the factors a(ωi) a(ωr) of the energy normalisation."""
@@ -171,10 +167,8 @@ def balance_energy(
 
 @wp.kernel
 def add_light_rotation(
-    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, lights: Lights, light_index: wp.int32,
     deviation: wp.float32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
     """Add to footprints the change of the direction to a point light between the points that a footprint covers."""
@@ -220,10 +214,8 @@ def add_light_rotation(
 
 @wp.kernel
 def add_light_extent(
-    # Inputs of the kernel:
     lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), extent: wp.float32, pixels: Pixels,
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
     """Widen footprints in (u, v) by the extent of a light: the covariances of footprint and light are added.
@@ -267,10 +259,8 @@ def add_light_extent(
 
 @wp.kernel
 def select_material(
-    # Inputs of the kernel:
     gains: wp.array(dtype=wp.float32), faces: wp.array(dtype=wp.int32), materials: wp.array(dtype=wp.int32),
     material: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     """Copy the gains of pixels whose faces have the given material, and set the gains of all other pixels to 0."""
@@ -284,10 +274,8 @@ def select_material(
 
 @wp.kernel
 def pixel_footprints(
-    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
     """Compute the changes of (u, v) over one standard deviation of the rays' filter; ``deviation`` is in pixels."""

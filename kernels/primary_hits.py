@@ -117,10 +117,8 @@ def rasterize_run(
 
 @wp.kernel
 def rasterize(
-    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, cells: Cells, max_offset: wp.float64, first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
     """Find the first face that the ray of each pixel or cell hits, by rasterization. Used on the CPU only.
@@ -178,7 +176,6 @@ def intersect_known_faces_run(
 
 @wp.kernel
 def intersect_known_faces(
-    # Inputs of the kernel:
     camera: Camera, surface: SurfaceArrays, sampling: Sampling, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
     """Compute the hits of rays on their nearest faces, which ``rasterize`` or ``trace_bvh`` has found.
@@ -202,9 +199,7 @@ def intersect_known_faces(
 
 @wp.kernel
 def place_samples(
-    # Inputs of the kernel:
     sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
     """Compute the position of one of several rays in each pixel, by ``pixel_offset``."""
@@ -214,7 +209,6 @@ def place_samples(
 
 @wp.kernel
 def make_shading_frames(
-    # Inputs of the kernel:
     surface: SurfaceArrays, pixels: Pixels, first: wp.int32, run: wp.int32,
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.

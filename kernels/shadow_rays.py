@@ -94,10 +94,8 @@ def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
 
 @wp.kernel
 def project(
-    # Inputs of the kernel:
     grid: ShadowGrid, positions: wp.array(dtype=wp.vec3f), faces: wp.array2d(dtype=wp.int32), first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """Project the corners of faces, and count the cells that the bounding box of each face overlaps.
@@ -122,11 +120,9 @@ def project(
 
 @wp.kernel
 def count(
-    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     counts_out: wp.array(dtype=wp.int32),
 ):
     """Count the faces that each cell's list will have."""
@@ -140,11 +136,9 @@ def count(
 
 @wp.kernel
 def fill(
-    # Inputs of the kernel:
     grid: ShadowGrid,
     first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     ends_out: wp.array(dtype=wp.int32),
 ):
     """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
@@ -179,10 +173,8 @@ def look_up(
 
 @wp.kernel
 def trace_shadow_rays(
-    # Inputs of the kernel:
     grid: ShadowGrid, places: wp.array(dtype=wp.vec4d), light_index: wp.int32, directions: wp.array(dtype=wp.vec4f),
     pixels: Pixels, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.

@@ -2,7 +2,7 @@
 
 The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
 blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
-both densities (balance heuristic, Veach 1997).
+its densities in the two kinds (balance heuristic, Veach 1997).
 """
 
 import math
@@ -180,9 +180,7 @@ def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view
 
 @wp.kernel
 def mirror_deflections(
-    # Inputs of the kernel:
     pixels: Pixels, counted: wp.float64, begins: wp.bool, resets: wp.bool, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), gains_out: wp.array(dtype=wp.float32),
     xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -210,11 +208,9 @@ def mirror_deflections(
 
 @wp.kernel
 def sample_sky(
-    # Inputs of the kernel:
     sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
     reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
     across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),

@@ -49,11 +49,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
     def resample(
-        # Inputs of the kernel:
         table: coefficients_t, bases: wp.array(dtype=out_t), azimuths: wp.int32, rings_per_octave: wp.int32,
         log_low: wp.float64, divisions: wp.int32, highest: wp.float64, excluded: wp.int32, start: wp.int32,
         first: wp.int32,
-        # Outputs of the kernel:
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
         """Compute the integrals of the power spectrum along azimuths, each weighted by the spline of a ring.
@@ -83,11 +81,9 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def gather(
-        # Inputs of the kernel:
         coefficients: wp.array(dtype=row_t), lines: wp.array(dtype=wp.int32), angles: wp.array(dtype=wp.float32),
         places: wp.array(dtype=wp.float32), weights: wp.array(dtype=wp.float32), begins: wp.array(dtype=wp.int32),
         ends: wp.array(dtype=wp.int32), rings: wp.int32, blur: wp.float32, first: wp.int32,
-        # Outputs of the kernel:
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute the integrals of a line spectrum along azimuths, each weighted by the spline of a ring.
@@ -161,11 +157,9 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
-        # Inputs of the kernel:
         values: wp.array(dtype=values_t), starts: wp.array(dtype=wp.int32), azimuths: wp.array(dtype=wp.int32),
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         octave: wp.int32, length: wp.int32, sequence: wp.array(dtype=values_t), first: wp.int32, run: wp.int32,
-        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
@@ -182,10 +176,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project_lines(
-        # Inputs of the kernel:
         values: wp.array(dtype=values_t), matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f),
         terms: wp.int32, rings: wp.int32, row_count: wp.int32, first: wp.int32,
-        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
         """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
@@ -210,12 +202,10 @@ def adder(w_basis_size: int) -> wp.Kernel:
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def add_product(
-        # Inputs of the kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
-        # Outputs of the kernel:
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by the factor of their ring and add them to ``rows_out``, or replace it with ``begins``."""
+        """Multiply rows by the factors of their rings, and add them to ``rows_out``; with ``begins``, overwrite it."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

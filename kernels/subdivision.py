@@ -65,11 +65,9 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
 
 @wp.kernel
 def estimate_errors(
-    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
     width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool,
     subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
@@ -152,11 +150,9 @@ def splat_cells_run(
 
 @wp.kernel
 def splat_cells(
-    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), pixels: wp.array(dtype=wp.int32),
     colours_before: wp.array(dtype=wp.vec3f), ranks: wp.array(dtype=wp.int32), weights: wp.array(dtype=wp.float32),
     level: wp.int32, is_base: wp.bool, is_sampled: wp.bool, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     filtered_sums_out: wp.array2d(dtype=wp.vec4f), quadrants_out: wp.array2d(dtype=wp.vec3f),
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
@@ -249,11 +245,9 @@ def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.f
 
 @wp.kernel
 def select_levels(
-    # Inputs of the kernel:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
     tolerance: wp.float32, base: wp.int32, most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Select the level of each tile, by a prediction of how much finer cells would change its colour.
@@ -335,11 +329,9 @@ def select_levels(
 
 @wp.kernel
 def raise_levels(
-    # Inputs of the kernel:
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
     colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
     tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Raise the levels of the tiles at ``level``, so that the scatter of their samples meets the tolerance.
@@ -382,10 +374,8 @@ def raise_levels(
 
 @wp.kernel
 def resolve_pixels(
-    # Inputs of the kernel:
     sums: FilteredSums, pixels: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8), width: wp.int32,
     height: wp.int32, error_order: wp.float32, error_factor: wp.float32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     colours_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32),
     coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
     illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool),
@@ -467,10 +457,8 @@ def resolve_pixels(
 
 @wp.kernel
 def accumulate(
-    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), errors: wp.array(dtype=wp.float32), illuminated: wp.array(dtype=wp.bool),
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Add the colours, errors and illuminated pixels of one light to the sums over lights."""

@@ -21,9 +21,7 @@ TINY = wp.constant(wp.float32(thresholds.TINY))
 
 @wp.kernel
 def luminance_histogram(
-    # Inputs of the kernel:
     colours: wp.array(dtype=wp.vec3f), illuminated: wp.array(dtype=wp.bool), first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     histogram_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """Count illuminated pixels by luminance, in groups of bins and in bins."""
@@ -37,9 +35,7 @@ def luminance_histogram(
 
 @wp.kernel
 def luminance_floor(
-    # Inputs of the kernel:
     histogram: wp.array(dtype=wp.int32),
-    # Outputs of the kernel:
     floor_out: wp.array(dtype=wp.float32),
 ):
     """Compute the floor of relative errors from the histogram of luminances. The kernel runs on one thread."""
@@ -62,11 +58,9 @@ def luminance_floor(
 
 @wp.kernel
 def count_marks(
-    # Inputs of the kernel:
     marks: wp.array(dtype=wp.uint8),
     first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     counts_out: wp.array(dtype=wp.int32),
 ):
     """Count the pixels whose mark is not 0."""
@@ -77,10 +71,8 @@ def count_marks(
 
 @wp.kernel
 def running_max(
-    # Inputs of the kernel:
     counts: wp.array(dtype=wp.int32),
     begins: wp.bool,
-    # Outputs of the kernel:
     most_out: wp.array(dtype=wp.int32),
 ):
     """Set the output to a count if the count is larger than the output; with ``begins``, in any case."""
@@ -103,10 +95,8 @@ def marks_around(marks: wp.array(dtype=wp.uint8), pixel: wp.int32, width: wp.int
 
 @wp.kernel
 def dilate_marks(
-    # Inputs of the kernel:
     marks: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, level: wp.uint8, first: wp.int32,
     run: wp.int32,
-    # Outputs of the kernel:
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Set the level of marked pixels and of their eight neighbours to ``level``, and that of all other pixels to 0."""
@@ -117,9 +107,7 @@ def dilate_marks(
 
 @wp.kernel
 def mark_shared(
-    # Inputs of the kernel:
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Mark a pixel as ``SHARED`` if it has no mark, but it and its eight neighbours all have a level."""
@@ -130,9 +118,7 @@ def mark_shared(
 
 @wp.kernel
 def compact_level(
-    # Inputs of the kernel:
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """List the pixels that have the given level.
@@ -146,10 +132,8 @@ def compact_level(
 
 @wp.kernel
 def copy_batch(
-    # Inputs of the kernel:
     pixels: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32), copied: wp.array(dtype=wp.int32),
     first: wp.int32, run: wp.int32,
-    # Outputs of the kernel:
     pixels_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     """Copy the next pixels of a list to the batch of pixels whose cells are computed next.
@@ -165,10 +149,8 @@ def copy_batch(
 
 @wp.kernel
 def advance_batch(
-    # Inputs of the kernel:
     counts: wp.array(dtype=wp.int32),
     count: wp.int32,
-    # Outputs of the kernel:
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):

@@ -15,7 +15,8 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Limits of the approximations of footprints. ``kernels/native/footprint_lookup.h`` has equal values and explains them.
+# Numbers in the rules by which footprints are approximated. ``kernels/native/footprint_lookup.h`` has equal values and
+# explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
@@ -25,7 +26,7 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Limits of sums over rings. ``kernels/native/ring_sum.h`` has equal values and explains them.
+# Numbers in the rules by which rings are added. ``kernels/native/ring_sum.h`` has equal values and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -331,10 +332,11 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether the table cannot serve a direction: its footprint is narrower than the blur of the rows.
+        """Return whether the table cannot serve a direction.
 
-        Directions within the inner radius of the table are not served either. ``within`` is the share of the variance
-        that remains after the footprint is split into ``parts``.
+        This is the case within the inner radius of the table, and if the footprint is narrower than the blur that the
+        line spectrum gives to the table. A footprint may be split into ``parts``; ``within`` is the share of its
+        variance that each of them has.
         """
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)

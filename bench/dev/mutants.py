@@ -43,8 +43,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # Test folders and files that mutation testing uses. Tests of interfaces, files and signals are excluded.
 TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
-# `PATIENCE` is the ratio of the time limit for the tests of a change to the largest total time of these tests without
-# the change. `COMPILE_S` is additional time [s] to compile kernels. Limit: tests that exceed both count as timed out.
+# The tests of a changed program count as timed out after `PATIENCE` times their largest total time without a change,
+# plus `COMPILE_S` seconds for the compilation of kernels.
 PATIENCE, COMPILE_S = 4.0, 60.0
 # Largest address space of a test process [bytes]. Limit: a changed array size could otherwise exhaust the memory.
 MEMORY = 12 << 30

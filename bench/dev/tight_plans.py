@@ -52,7 +52,7 @@ from warpdiff.tables import coefficient_table
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # Number of directions whose errors are evaluated, and number of directions for which the plan is made.
 DIRECTIONS, PLANNED = 128, 40_000
-# Smallest cosine of random directions. Limit: 85° from the normal.
+# Smallest cosine of the angle between random directions and the normal, which is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
 # Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.

@@ -6,11 +6,12 @@
     python -m bench.dev.baseline --folder after --commit HEAD --versions-of before
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
-Each round starts a new process for each wheel. For every row of the printed table, the two processes execute the same
-call in turns; the wheel that begins alternates. The ratio of a round is the median ratio of times over these pairs of
-calls. Rows that start a process per call (cold start, import, help) are timed in the same manner. The ratio of a row is
-the median over rounds. Its confidence interval of at least 95 % is that of order statistics, which assumes no
-distribution. Rounds are added until the interval of each row is within ±``--half-width``, or until ``--most-rounds``.
+The printed table has one row per task. Each round starts a new process for each wheel. For every task, the two
+processes execute the same call in turns; the wheel that begins alternates. The ratio of a round is the median ratio of
+times over these pairs of calls. Tasks that start a process per call (cold start, import, help) are timed in the same
+manner. The ratio of a task is the median over rounds. Its confidence interval of at least 95 % is that of order
+statistics, which assumes no distribution. Rounds are added until the interval of each task is within
+±``--half-width``, or until ``--most-rounds``.
 
 First, the wheel ``--before`` is compared with itself by the same procedure. The deviation of these ratios from 1 is the
 noise of the measurement. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is
@@ -46,7 +47,7 @@ CLOCKS = ("wall", "cpu")
 # Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: all of 6 values lie on
 # the same side of the median with the probability 2 · 0.5⁶ < 5 %.
 FEWEST_ROUNDS = 6
-# Target of the total time [s] of one wheel's calls per row and round, and limits of the number of these calls.
+# Target of the total time of one wheel's calls per task and round [s], and smallest and largest number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000
@@ -67,15 +68,15 @@ class Seconds(NamedTuple):
     cpu: float
 
 
-# Rows of the report's table that are measured in a worker process.
+# Tasks that are timed in a worker process, one per row of the printed table.
 
 
 def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
-    """Return functions by the names of the rows of the report's table. Each function prepares the calls of its row.
+    """Return functions by the names of the timed tasks. Each function prepares the calls of its task.
 
     A prepared call is a function whose argument is the number of the call.
 
-    Frames have 640 × 480 pixels unless the row's name states another size. Light and camera move from frame to frame.
+    Frames have 640 × 480 pixels unless the task's name states another size. Light and camera move from frame to frame.
     """
     from bench.dev.public_names import wd
 
@@ -160,8 +161,7 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
     }  # fmt: skip
 
 
-# Rows of the report's table whose calls start a process, with the number of calls per round and the arguments of
-# Python.
+# Tasks whose calls start a process, with the number of calls per round and the arguments of Python.
 
 PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
     "process: first picture": (2, ["-c", COLD_START]),
@@ -179,9 +179,9 @@ def timed(call: Call, k: int) -> Seconds:
 
 
 def work(threads: int | None) -> None:
-    """Run the worker process: write the names of the rows, then time one call for each line of stdin.
+    """Run the worker process: write the names of its tasks, then time one call for each line of stdin.
 
-    A line is the name of a row to prepare, or the number of a call.
+    A line is the name of a task to prepare, or the number of a call of this task.
     """
     # The answers of this process go to its stdout. Output of libraries is discarded, because it would mix with them.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -194,7 +194,7 @@ def work(threads: int | None) -> None:
         text = line.strip()
         if text in rows:
             call = rows[text]()
-            # The first call of a row is not timed, because it makes tables and loads kernels.
+            # The first call of a task is not timed, because it makes tables and loads kernels.
             call(0)
             answer = timed(call, 1)
         else:
@@ -238,10 +238,10 @@ class Wheel:
 
 
 class Worker:
-    """A process that times calls of a wheel, until the ``with`` block ends.
+    """A process that times calls of the library as one wheel installs it, until the ``with`` block ends.
 
     Attributes:
-        rows: Names of the rows that the process can measure.
+        rows: Names of the tasks that the process can time.
     """
 
     def __init__(self, wheel: Wheel) -> None:
@@ -260,7 +260,7 @@ class Worker:
         self._process.communicate()
 
     def ask(self, text: object) -> None:
-        """Send a request to the process: the name of a row to prepare, or the number of a call to time."""
+        """Send a request to the process: the name of a task to prepare, or the number of a call to time."""
         print(text, file=self._process.stdin, flush=True)
 
     def receive(self) -> Seconds:
@@ -268,7 +268,7 @@ class Worker:
         return Seconds(*self._answer())
 
     def run(self, k: int) -> Seconds:
-        """Return the times of one call of the prepared row, by the number of the call."""
+        """Return the times of one call of the prepared task, which gets the number ``k`` of the call."""
         self.ask(k)
         return self.receive()
 
@@ -287,10 +287,10 @@ def _children_cpu() -> float:
 
 @dataclass
 class Row:
-    """Times of one row of the table.
+    """Times of one task, which is a row of the printed table.
 
     Attributes:
-        name: Name of the row.
+        name: Name of the task.
         pairs: Per round, pairs of times of neighbouring calls of both wheels, (before, after).
     """
 
@@ -344,14 +344,15 @@ def in_turns(calls: tuple[Timed, Timed], first: int, count: int) -> list[tuple[S
 
 
 def add_round(before: Wheel, after: Wheel, rows: Sequence[Row], number: int) -> None:
-    """Measure each row once more for both wheels, and append the times to the rows."""
+    """Time each task once more for both wheels, and append the times to ``rows``."""
     first = number % 2
     by_workers = [row for row in rows if row.name not in PROCESS_ROWS]
     if by_workers:
         with contextlib.ExitStack() as stack:
             started = {which: stack.enter_context(Worker((before, after)[which])) for which in (first, 1 - first)}
             for row in by_workers:
-                # Both processes prepare the row at the same time. The timed calls alternate between them.
+                # The processes of both wheels prepare the task at the same time. The timed calls alternate between
+                # them.
                 for worker in started.values():
                     worker.ask(row.name)
                 seconds = min([worker.receive().wall for worker in started.values()])
@@ -368,7 +369,7 @@ def _process_pairs(before: Wheel, after: Wheel, name: str, first: int) -> list[t
 
 
 def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], options: argparse.Namespace) -> list[Row]:
-    """Compare two wheels until the interval of every row is narrow enough, and print the rows."""
+    """Compare two wheels until the interval of every task is narrow enough, and print the table."""
     rows = [Row(name) for name in names]
     for number in range(max(options.most_rounds, options.rounds)):
         measured = rows
@@ -395,12 +396,12 @@ def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], optio
 
 
 def raw(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return all times [s] by row and round: for each pair of calls, wall and processor time of both wheels."""
+    """Return all times [s] by task and round: for each pair of calls, wall and processor time of both wheels."""
     return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
 
 
 def warm(wheel: Wheel, text: str) -> list[str]:
-    """Compile the kernels for all rows whose names contain a text. Return the names of these rows."""
+    """Compile the kernels for all tasks whose names contain a text. Return the names of these tasks."""
     with Worker(wheel) as worker:
         names = [name for name in (*worker.rows, *PROCESS_ROWS) if text in name]
         for name in names:

@@ -59,7 +59,7 @@ def precompute(scan: Path) -> None:
 def seconds(code: str, cache: Path) -> tuple[float, float]:
     """Return the times [s] from the start of a process to its result and to its end.
 
-    If the process prints no result, both are the time to its end.
+    If the process prints no result, both numbers are the time to its end.
     """
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}

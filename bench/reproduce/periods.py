@@ -1,8 +1,8 @@
-"""Judge of `HeightField.periods`: coverage of standard errors, false periods in noise, and quarters of the real scan.
+"""Tests `HeightField.periods` on synthetic fields of known period, on noise, and on the quarters of the real scan.
 
 Each synthetic field is a part of an endless surface whose mean period is known: a sine, a groove with soft walls or a
-ridge. Its local period varies as a random field, as a random walk of the phase or by jitter. Noise, a tilt, waviness,
-gaps and steps between scan lines are added. The rules were tuned on other seeds than those below.
+ridge. Its local period varies at random. Noise, a tilt, waviness, gaps and steps between scan lines are added. The
+search for periods was tuned on other seeds than those below.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 PITCH_UM = 0.05
-# Relative standard deviations of the local period.
+# Standard deviations of the local period of the synthetic fields, relative to the mean period.
 VARIATIONS = (0.0, 0.003, 0.01, 0.03, 0.06, 0.1)
-# First seed of the judged fields. The rules were tuned on seeds below 30,000.
+# First seed of the fields on which the search for periods is tested. The search was tuned on seeds below 30,000.
 SEED = 50_000
 
 
@@ -47,7 +47,7 @@ class Judged:
 def correlated(
     rng: np.random.Generator, shape: tuple[int, int], power: Callable[[NDArray, NDArray], NDArray]
 ) -> NDArray[np.float64]:
-    """Return Gaussian noise of variance 1 with a power spectrum, a function of frequencies in cycles per sample.
+    """Return Gaussian noise of variance 1 with the spectrum ``power``, a function of frequencies in cycles per sample.
 
     The noise is a part of a larger field, so that its edges do not match.
     """
@@ -63,7 +63,10 @@ def correlated(
 def _phase(
     rng: np.random.Generator, shape: tuple[int, int], unit: tuple[float, float], length: float, *, walks: bool
 ) -> NDArray[np.float64]:
-    """Random phase of a field whose derivative along a unit vector has variance 1; it is stationary with mean 0."""
+    """Return a random variation of the phase with mean 0.
+
+    Its derivative along a unit vector (y, x) has a variance of 1.
+    """
     larger = tuple(1 if n == 1 else 4 * n for n in shape)
     fy, fx = np.fft.fftfreq(larger[0])[:, None], np.fft.rfftfreq(larger[1])[None, :]
     squares = fy**2 + fx**2
@@ -76,7 +79,7 @@ def _phase(
 
 
 def wavering(seed: int) -> Judged:
-    """Return a synthetic field; every fourth one is a profile."""
+    """Return a synthetic field with a known mean period; every fourth one is a profile of a single row."""
     rng = np.random.default_rng(seed)
     is_profile = seed % 4 == 3
     shape = (1, int(rng.integers(300, 1500))) if is_profile else tuple(rng.integers(100, 300, 2).tolist())
@@ -174,13 +177,16 @@ def noise_profile(seed: int) -> wd.HeightField:
 
 
 def score(judged: Judged) -> float | None:
-    """Return the error of the strongest period in standard errors; None if no period is found."""
+    """Return the error of the strongest period, divided by its standard error; None if no period is found."""
     periods = judged.heightfield.periods(1)
     return (periods[0].period_um - judged.period_um) / periods[0].standard_error_um if periods else None
 
 
 def quarters(scan: wd.HeightField) -> tuple[list[wd.Period], float]:
-    """Return the periods of the quarters of a scan, and the largest difference of two, in standard errors."""
+    """Return the strongest period of each quarter of a scan, and the largest difference between two quarters.
+
+    The difference is in units of its standard error.
+    """
     half = scan.size_um[0] / 2.0, scan.size_um[1] / 2.0
     periods = [scan.cropped(half, offset_um=(y, x)).periods(1)[0] for y in (0.0, half[0]) for x in (0.0, half[1])]
     differences = [
@@ -192,7 +198,7 @@ def quarters(scan: wd.HeightField) -> tuple[list[wd.Period], float]:
 
 
 def main() -> None:
-    """Print the figures."""
+    """Print the accuracy of periods, the number of false periods in noise, and the periods of the scan."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fields", type=int, default=200, help="number of synthetic fields (200)")
     parser.add_argument("--noise", type=int, nargs=2, default=(60, 70), help="fields and profiles of noise (60 70)")

@@ -44,7 +44,7 @@ MOST_REACH = {"averaged": 3, "centred": 4}
 # Number of settings that are timed, those with the fewest multiply-adds.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
-# Tolerance of the reference. Limit: small compared with the errors of the compared settings.
+# Tolerance of the reference. It must be small compared with the errors of the compared settings.
 TRUTH = 1e-3
 # Width of the picture [pixels], number of timed pixels, and number of timed rounds.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9

@@ -8,7 +8,7 @@
 The 748 gratings of ``bench/suite/rigorous.json`` are sines, square grooves and sawteeth of perfect mirrors and sines of
 glass. The error of a grating is that of its worst order for light from 0°, 30° and 60°, relative to the reflected power
 of a flat surface. Its verdict is the worst of the three calls, or the verdict of its heights alone. Every third period
-and every third depth was never used for fitting: gratings with one of them are held out.
+and every third depth was never used for fitting; gratings with such a period or depth are held out.
 
 ``--rise`` compares heights above the horizon at which an order takes part in the normalisation with its full weight.
 """
@@ -34,7 +34,7 @@ WRONG = 0.1
 # Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
 # gratings, and largest share of qualitative gratings.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
-# Periods and depths with this remainder of their index by three are held out.
+# Periods and depths are held out if their index, divided by three, leaves this remainder.
 HELD_OUT = 2
 # Number of height samples per period. Limit: it must be well above twice the number of orders, which is at most 40.
 SAMPLES = 512

@@ -171,7 +171,7 @@ def written(periods: Floats) -> str:
     return f"{periods.mean():.3f} ({periods.var():.3f})"
 
 
-# Figures of periods.
+# Functions that draw figures of the periods that are measured on height fields.
 
 
 def methods_of(
@@ -300,7 +300,7 @@ def scan_windows(setup: Setup) -> Table:
     return rows
 
 
-# Figures of reflectance maps.
+# Functions that draw reflectance maps.
 
 
 # Exposures of reflectance maps: `LINE` for gratings that reflect all light into few lines or points of the map, `AREA`
@@ -354,7 +354,7 @@ def map_gratings(setup: Setup) -> Table:
     return mosaic(setup, "map_gratings", [tiles[:4], tiles[4:]], inch=3.0)
 
 
-# Figures of rendered bodies.
+# Functions that draw rendered bodies.
 
 
 # Exposure of rendered bodies, relative to that of reflectance maps.

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
-# Largest error of a coefficient by the truncation of its series. Limit: small compared with the compared differences.
+# Largest error of a coefficient by the truncation of its series. It must be small compared with the differences between
+# variants.
 ACCURACY = 1e-6
 # Number of coefficients on either side of the nearest one, at which the sinc is truncated. Origin: as published.
 SINC_REACH = 3

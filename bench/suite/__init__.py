@@ -1,6 +1,6 @@
 """Charts of ``python -m bench`` and their numbers.
 
-``runner`` makes all charts in one run. Each part has the functions ``measure``, ``numbers`` and ``chart``. The parts
-are ``previews``, ``pareto``, ``frames``, ``rays``, ``scaling``, ``stability`` and ``validity``. They share ``scenes``,
-``timing`` and ``figures``.
+``runner`` makes all charts in one run. One module measures and draws each chart, by its functions ``measure``,
+``numbers`` and ``chart``: ``previews``, ``pareto``, ``frames``, ``rays``, ``scaling``, ``stability`` and ``validity``.
+These modules share ``scenes``, ``timing`` and ``figures``.
 """

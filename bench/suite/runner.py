@@ -69,12 +69,12 @@ def run(
     folder: Path, *, quick: bool = False, parts: list[str] | None = None, device: str | None = None,
     threads: int | None = None, data: Path | None = None, peer: str | None = None,
 ) -> Path:  # fmt: skip
-    """Measure all parts, write ``results.json`` and ``results.csv``, draw the charts, and write the report.
+    """Measure the numbers of all charts, write ``results.json`` and ``results.csv``, draw charts, and write a report.
 
     Args:
         folder: Folder of the results.
         quick: Whether charts have few points; a run then takes about two minutes.
-        parts: Names from ``PARTS``; None means all.
+        parts: Names of the charts to make, from ``PARTS``; None makes all.
         device: ``"cpu"`` (None) or a CUDA device.
         threads: Number of CPU threads; None means one per core.
         data: Folder of the measured height fields; None means the default folder.
@@ -105,7 +105,7 @@ def run(
         results["figures"] |= module.numbers(part_results)
         results["findings"] |= module.chart(part_results, folder)
         results["seconds"][name] = round(time.perf_counter() - begin, 1)
-        # Files are written after each part, so that a later exception loses no results.
+        # Files are written after each chart, so that a later exception loses no results.
         write(folder / "results.json", json.dumps(results, indent=1, default=_plain) + "\n")
         write_csv(folder / "results.csv", results["figures"])
         write(folder / "report.md", report(results))

@@ -396,7 +396,7 @@ STYLES: dict[str, dict[str, dict[str, object]]] = {
         NEAREST: {"color": CYAN},
     },
 }  # fmt: skip
-# Range of the error axis.
+# Ends of the axis of errors in the charts.
 LEAST, MOST = 1e-9, 30.0
 TINT = "#fbe3e0"
 

@@ -78,8 +78,8 @@ def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents,
     n = rotated * n / np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * away, axis=1, keepdims=True)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    # Normals that are perpendicular to the view direction or point away are rotated towards it until the cosine between
-    # both is 0.01.
+    # Normals that are perpendicular to the view direction or point away from it are rotated towards it, until the
+    # cosine of the angle between normal and view direction is 0.01.
     tilted = 0.01 * away + np.sqrt(1.0 - 1e-4) * (n - cosine * away) / sine
     n = np.where(cosine < 0.01, tilted, n)
     t = np.einsum("kc,kcd->kd", bary, tangents[corners])

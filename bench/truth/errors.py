@@ -7,8 +7,8 @@ import warnings
 
 import numpy as np
 
-# Floor f of relative errors, as a share of the reference luminance Y*. Darker colours are judged by their absolute
-# errors. Limit: a doubled value would hide errors of dim directions.
+# Floor f of relative errors, as a share of the reference luminance Y*. For darker colours, the absolute error counts.
+# If doubled, errors of dim directions would be hidden.
 FLOOR = 1e-3
 
 

@@ -26,8 +26,8 @@ constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // `INNERMOST_OF_LOBE` times that of the lobe of an order, if this is smaller. `NARROWEST` is the least standard
 // deviation of the Gaussian, relative to that lobe. Limits: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Limits for the mip level whose rows are added. `MOST_BLUR2` is the largest variance of its blur, relative to the
-// variance of the Gaussian along the ring. `AZIMUTHS_APART` is the largest distance of its azimuths, in standard
+// Rule for the mip level whose rows are added: `MOST_BLUR2` is the maximum variance of its blur, relative to the
+// variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of its azimuths, in standard
 // deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 

@@ -116,8 +116,8 @@ WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const
         for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? vectors[c][i] : 0.0f;
 }
 
-// Compute the shading frames of the pixels from `begin` to `end`. Return the number of special pixels. They are only
-// marked, by `hit` = SPECIAL, and computed later.
+// Compute the shading frames of the pixels from `begin` to `end`. Pixels in which this requires special cases are only
+// marked, by `hit` = SPECIAL, and computed later. Return their number.
 template <int BATCH, int SPECIAL, class Surface, class Pixels>
 WARPDIFF_INLINE int make_shading_frames(
     const Surface& surface, const Pixels& pixels, int begin, int end, FrameLimits limits)

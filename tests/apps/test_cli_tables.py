@@ -1,4 +1,4 @@
-"""The commands that print tables: numbers against closed forms, files, and messages."""
+"""Commands that print tables: numbers equal closed forms, CSV files contain all rows, errors name the options."""
 
 import math
 
@@ -10,7 +10,7 @@ from warpdiff.apps import cli
 
 
 def run(line, *more):
-    """Run a command line, given as a text and as further words, and return its exit code."""
+    """Run a command line, given as one text and further arguments, and return its exit code."""
     return cli.main([*line.split(), *map(str, more)])
 
 

@@ -96,7 +96,7 @@ def test_colours_equal_the_direct_sum(kind, rng):
 def resonances(heightfield, lights, views, periods):
     """Return XYZ of N replicated periods in the limit of large N.
 
-    In this limit the spectrum consists of one narrow line per order. The integral of a line over uLx/λ is 1/N.
+    For large N, the spectrum consists of one narrow line per order. The integral of a line over uLx/λ is 1/N.
     """
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]

@@ -1,4 +1,4 @@
-"""Unit vectors of angles, and angles of unit vectors."""
+"""Conversion of angles to unit vectors, and of unit vectors to angles."""
 
 import math
 

@@ -174,7 +174,7 @@ def test_kernel_equals_direct_sum_for_moved_windows(rng):
 
 
 # Coherence model, patch size in µm and number of directions. Patches and numbers are small, because direct sums over
-# narrow orders require thousands of wavelengths, most of all for a source near the horizon.
+# narrow orders require thousands of wavelengths. A source near the horizon requires most.
 COLOURED = {
     "averaged": (wd.Coherence("averaged", 5.0), 6.4, 16),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),

@@ -45,7 +45,8 @@ def test_resampling_up_and_down_returns_the_original(shape: tuple[int, int], fac
     assert finer.shape == tuple(1 if n == 1 else round(n * factor) for n in shape)
     back = finer.resampled(field.pitch_um)
     np.testing.assert_allclose(back.heights_um, field.heights_um, atol=1e-15)
-    # By Parseval's theorem resampling preserves the rms height, except if an even count splits the Nyquist term.
+    # By Parseval's theorem, resampling preserves the rms height. Even numbers of samples are exceptions, because their
+    # Nyquist term is split between two frequencies.
     if all(n % 2 == 1 for n in shape):
         assert finer.rms_um == pytest.approx(field.rms_um, rel=1e-12)
     assert np.mean(finer.heights_um) == pytest.approx(np.mean(field.heights_um), abs=1e-15)
@@ -76,7 +77,7 @@ def test_resampling_down_to_the_nyquist_term_samples_it(sign: float) -> None:
 
 
 def cross(heights: np.ndarray) -> float:
-    """Return the spectral power on the two frequency axes, divided by that on lines parallel to them.
+    """Return the spectral power on the two frequency axes, divided by that on lines near them.
 
     The four lowest frequencies of either sign are excluded.
     """
@@ -163,7 +164,7 @@ def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
     field = HeightField.of_known_scale(np.random.default_rng(1).normal(size=(30, 40)), pitch)
     with pytest.raises(ValueError, match=r"size_um must be at least the pitch of \S+ µm, got .*give size_um="):
         field.despiked(size_um=size)
-    # An axis of one sample has no pitch.
+    # The pitch along an axis of one sample, here 1000 µm, sets no limit.
     HeightField.of_known_scale(field.heights_um[:1], (1e3, 0.1)).despiked()
 
 
@@ -178,7 +179,7 @@ def test_each_step_stands_in_the_history(tmp_path: Path) -> None:
     for step, word in zip(steps.history, words, strict=True):
         assert re.match(word, step)
         assert step.endswith(".")
-    # A step changes no other field.
+    # A further step enters the history of the new field, but not that of the field it was made from.
     assert len(steps.levelled().history) == len(words) + 1
     assert len(steps.history) == len(words)
     with np.load(steps.save(tmp_path / "a.npz")) as arrays:

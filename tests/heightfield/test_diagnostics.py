@@ -1,4 +1,4 @@
-"""Diagnostics: the summary of a height field."""
+"""The summary of a height field, and its mean slope."""
 
 import numpy as np
 import pytest

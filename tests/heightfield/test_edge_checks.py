@@ -1,4 +1,4 @@
-"""Warnings of fields that are not levelled or whose edges do not match, where this matters."""
+"""Warnings about height fields that are not levelled or whose edges do not match, if this changes their colours."""
 
 import warnings
 
@@ -17,7 +17,7 @@ WIDE, NARROW = wd.Coherence(), wd.Coherence(sigma_um=0.3)
 
 
 def tilted(amount: float) -> wd.HeightField:
-    """A patch with a tilt whose standard deviation is a multiple of the roughness."""
+    """Return a patch with a tilt, whose standard deviation is ``amount`` times that of the roughness."""
     return wd.HeightField(PATCH.heights_um + amount * PATCH.rms_um * U / np.std(U), PATCH.pitch_um)
 
 

@@ -30,7 +30,8 @@ def test_periods_between_fourier_coefficients_are_accurate_to_their_standard_err
     assert result.share > 0.98
     assert result.is_coherent
     assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
-    # The grooves have only odd harmonics, and a first amplitude between those of a sine and of a square wave.
+    # The profile of the grooves is between a sine and a square wave. So is the amplitude of its fundamental, and its
+    # second harmonic nearly vanishes.
     assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
     assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:
@@ -63,7 +64,7 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise, least):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        # A wave that noise could have made is none.
+        # No period is returned for a wave that may be noise. Such a field adds no entry to ``scores``.
         scores += [
             abs(result.period_um - 1.37) / result.standard_error_um
             for result in wd.HeightField(heights, PITCH).periods(1)
@@ -100,7 +101,8 @@ def test_two_waves_of_similar_periods_are_two_and_a_wavering_one_is_one():
         (one,) = wd.HeightField(0.1 * np.cos(phase) + noise, PITCH).periods()
         assert abs(one.period_um - 0.9) < max(2.0 * one.standard_error_um, 1e-3)
         assert one.share > 0.5
-    # A change along the grooves, by which the period itself varies.
+    # The local frequency of this wave increases along x by 0.4 cycles per µm, so that its mean is 0.2 above its first
+    # value.
     (chirp,) = wd.HeightField(0.1 * np.cos(2.0 * np.pi * (X / 0.9 + 0.02 * X**2)) + noise, PITCH).periods()
     assert not chirp.is_coherent
     assert abs(1.0 / chirp.period_um - (1.0 / 0.9 + 0.2)) < 0.02
@@ -121,7 +123,7 @@ def test_nothing_depends_on_the_unit():
 
 
 def test_standard_errors_include_the_variation_of_the_period():
-    """A small part of bench/reproduce/periods.py, on other seeds."""
+    """Fields like those of bench/reproduce/periods.py, on other seeds: few errors exceed two standard errors."""
     scores = [score(wavering(seed)) for seed in (*range(5003, 5063, 4), 5000, 5001, 5002, 5004)]
     found = np.array([value for value in scores if value is not None])
     assert len(found) >= len(scores) - 3
@@ -155,7 +157,8 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The line that would follow the cropped field equals its first line, up to the rounding to whole samples.
+    # The cropped field ends before line 173 of the original field. Whole periods were cut, so that this line nearly
+    # equals line 0. The last line of the original field does not.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

@@ -11,14 +11,14 @@ import pytest
 import warpdiff as wd
 from warpdiff.apps.cli_inputs import GRATINGS
 
-# 0.3 µm high, at 50 nm.
+# Synthetic skin with a height range of 0.3 µm, at a pitch of 50 nm.
 SCAN = wd.gratings.fingers(size_um=12.8, pitch_um=0.05, seed=3)
 X = 0.05 * np.arange(512)
 SURFACES = {
     "fingers": (SCAN.heights_um, 0.05), "lamellar": (np.where(np.arange(200) % 40 < 20, 0.15, 0.0)[None], 0.05),
     "smooth": (0.05 * np.sin(X)[:, None] * np.cos(1.3 * X), 0.1), "deep": (2.0 * np.sin(0.4 * X)[None], 0.05),
 }  # fmt: skip
-# Factors of heights and pitch, and what the message says.
+# Factors by which heights and pitch are multiplied, and the words of the warning that must follow.
 UNITS = {
     "heights in nm": (1e3, 1.0, "are heights in nanometres? Multiply them by 0.001"),
     "heights in m": (1e-6, 1.0, "are heights in metres? Multiply them by 1e+06"),
@@ -71,7 +71,7 @@ def test_codes_for_missing_data_are_named(code: float, pitch: float) -> None:
     words = f"heights_um has 40 sample(s) of exactly {code:.10g}, far from all others, probably a code for missing"
     with pytest.warns(wd.WarpdiffWarning, match=re.escape(words)) as caught:
         field = wd.HeightField(heights, pitch)
-    # The unit of the others is right.
+    # Apart from the code for missing data, heights are in µm, so that there is no second warning about their unit.
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -102,7 +102,7 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
         for flat in (0.0, 0.37, -1e-7):
             field = wd.HeightField(np.full((8, 8), flat), 0.05)
             wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # Rounding of a tilt that was subtracted.
+        # After a tilt is subtracted from a flat field, rounding errors of about 1e-16 µm remain.
         wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
         wd.HeightField([[0.2]], 0.05)
         for function, arguments in GRATINGS.values():
@@ -110,10 +110,11 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
             wd.HeightField(made.heights_um, made.pitch_um)
         wd.gratings.sinusoidal(1.0, 0.0)
         wd.gratings.lamellar(0.5, 3.0)
-        # Two heights are no code, nor are a few equal ones.
+        # Neither the two heights of a binary grating nor the equal extreme heights of a clipped scan are codes for
+        # missing data.
         wd.HeightField(np.where(np.arange(100) % 10 < 3, 1.0, 0.0)[None], 0.05)
         wd.HeightField(np.clip(SCAN.heights_um, -0.05, 0.05), 0.05)
-        # Echelles of 63 and 76 degrees, of several periods and of one.
+        # Echelles with facets of 63 and 76 degrees: of six periods, and of a single period.
         for period, depth, count in ((31.6, 63.2, 6), (13.3, 53.2, 6), (31.6, 63.2, 1)):
             x = np.arange(round(count * period / 0.02)) * 0.02
             wd.HeightField((depth / period * (x % period))[None], 0.02)

@@ -26,7 +26,7 @@ USUAL = {
 
 @pytest.mark.parametrize("energy", [None, "stam"])
 def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
-    """Every thirteenth of 748 gratings is judged here. ``bench/reproduce/theory_verdict.py`` judges all of them."""
+    """Every thirteenth of 748 gratings is tested here. ``bench/reproduce/theory_verdict.py`` tests all of them."""
     for name, shares in judged(energy, step=13).items():
         if name.endswith("all"):
             assert shares.wrong_of_reliable <= 0.025, name

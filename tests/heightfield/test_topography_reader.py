@@ -184,7 +184,7 @@ FORMATS = {
     "park.tif": (tiff(">", 50432), "Park Systems TIFF"),
     "image.tif": (tiff("<", 256), "grey image of 8 or 16 bit, or of floats"),
     "cut.tif": (b"II*\0\xff", "grey image of 8 or 16 bit, or of floats"),
-    "image.foo": (b"\x89PNG\r\n\x1a\n\0\0", "grey image of 8 or 16 bit, or of floats"),
+    "image.unknown": (b"\x89PNG\r\n\x1a\n\0\0", "grey image of 8 or 16 bit, or of floats"),
     "scan.SUR": (b"", "Digital Surf SURF"),
 }  # fmt: skip
 
@@ -198,8 +198,8 @@ def test_suffix_and_content_select_the_reader(tmp_path: Path, name: str) -> None
 
 def test_image_files_of_any_suffix_are_read(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", np.arange(12, dtype=np.uint8).reshape(3, 4, 1))
-    (tmp_path / "a.png").rename(tmp_path / "a.foo")
-    assert HeightField.load(tmp_path / "a.foo", pitch_um=0.1, height_range_um=0.3).shape == (3, 4)
+    (tmp_path / "a.png").rename(tmp_path / "a.unknown")
+    assert HeightField.load(tmp_path / "a.unknown", pitch_um=0.1, height_range_um=0.3).shape == (3, 4)
     (tmp_path / "b.nms").write_bytes(bytes(100))
     with pytest.raises(
         ValueError, match=r"^path: .*b\.nms' has a format that is not read; export it as \.x3p, as text"

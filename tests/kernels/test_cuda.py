@@ -24,7 +24,8 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# For the Ampere architecture (sm_80), the slow tests compile only the kernels that every picture launches.
+# Compute capabilities for which kernels are compiled. For the Ampere architecture (80), the test is slow, and covers
+# only the kernels that every picture launches.
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.

@@ -201,8 +201,8 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 def test_a_wide_footprint_weights_each_ring_by_its_area():
     """Compare a look-up of a wide footprint with a closed form, for a table with a narrow Gaussian of |(u, v)|.
 
-    The footprint, a wide Gaussian, and the narrow Gaussian are both centred on the mirror direction. Near it, look-ups
-    of wide footprints skip every second ring.
+    The footprint and the Gaussian of the table have the mirror direction as their common centre. Near it, look-ups of
+    wide footprints skip every second ring.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Limits of supported plans: size of the neighbourhood, and the Nyquist limit of the pitch."""
+"""Plans near what is supported: the largest neighbourhood, and the Nyquist limit of the pitch."""
 
 from types import SimpleNamespace
 

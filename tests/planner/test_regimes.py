@@ -104,8 +104,8 @@ def test_fixed_neighbours_and_wavelength_steps_fail_for_some_patch_sizes():
     assert line.automatic <= TOLERANCE
 
 
-# Regime of |(u, v)|: far from the mirror direction, 81 wavelengths are too few. Close to it, one wavelength per order
-# is too few.
+# Tests of large and small |(u, v)|. Far from the mirror direction, 81 wavelengths are too few. Near it, one wavelength
+# per order is too few.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, 0.7, 1.98])

@@ -1,4 +1,4 @@
-"""Plots of height fields: what is drawn are the heights, in the units of the labels."""
+"""Plots of height fields: the drawn values are the heights, in the units of the axis labels."""
 
 import sys
 
@@ -21,7 +21,7 @@ def ax():
 
 @pytest.fixture(scope="module")
 def wave():
-    """Return a wave of 0.5 µm along x and 2 µm along y, with noise."""
+    """Return a height field: a wave with periods of 0.5 µm along x and 2 µm along y, with noise."""
     y, x = np.mgrid[:80, :150]
     heights = 0.1 * np.cos(2.0 * np.pi * (x * PITCH[1] / 0.5 + y * PITCH[0] / 2.0))
     return wd.HeightField(heights + np.random.default_rng(0).normal(0.0, 1e-3, heights.shape), PITCH)
@@ -47,7 +47,7 @@ def test_tall_fields_are_shown_in_um_and_missing_samples_are_masked(ax):
     np.testing.assert_array_equal(shown.mask, np.isnan(heights))
     np.testing.assert_array_equal(shown.compressed(), [0.0, 1.5, 0.5])
     assert ax.child_axes[0].get_ylabel() == "height [µm]"
-    assert ax.get_title() == "Heights, 2 × 2 µm, 1 samples missing (grey)"
+    assert ax.get_title() == "Heights, 2 × 2 µm, 1 samples missing (white)"
 
 
 @pytest.mark.parametrize("turns", [0, 1])
@@ -91,7 +91,7 @@ def test_marks_of_a_spectrum_are_at_the_inverse_of_the_period(ax, wave):
 
 
 def test_the_integral_of_the_density_is_the_variance():
-    """A cosine of amplitude a has the variance a²/2, in a field and in a profile."""
+    """The power spectral density of a cosine of amplitude a integrates to a²/2, its variance, on one axis and two."""
     x = 0.02 * np.arange(800)
     heights = 0.1 * np.cos(2.0 * np.pi * x / 0.8)
     field, profile = (Figure().add_subplot() for _ in range(2))

@@ -438,7 +438,7 @@ def test_the_number_of_cached_tables_is_limited(rough, builds):
         wd.reflectance(heightfield, UP, UP, plan=each)
     assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
-    # The least recently used table was removed.
+    # The cache has removed the least recently used table, that of the first plan, and builds it again.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
     assert len(builds) == 1 + len(scopes)
     wd.reflectance(heightfield, UP, UP, plan=scopes[0])

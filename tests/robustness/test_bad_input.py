@@ -35,6 +35,7 @@ def bare(vertices=TRIANGLE, faces=((0, 1, 2),)) -> trimesh.Trimesh:
 EVALUATE = {
     "reflectance": lambda heightfield=HF, **options: wd.reflectance(heightfield, UP, UP, **options),
     "spectral_reflectance": lambda heightfield=HF, **o: wd.spectral_reflectance(heightfield, UP, UP, [500.0], **o),
+    "reflectance_spectra": lambda heightfield=HF, **o: wd.reflectance_spectra(heightfield, UP, UP, [500.0], **o),
     "brdf": lambda heightfield=HF, **options: wd.brdf(heightfield, UP, UP, [500.0], **options),
     "reflectance_map": lambda heightfield=HF, **options: wd.reflectance_map(heightfield, UP, **({"size": 4} | options)),
     "plan": lambda heightfield=HF, **options: wd.plan(heightfield, UP, UP, **options),

@@ -47,6 +47,12 @@ def left_behind(folder):
     return [path for path in paths if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
 
 
+# Script that runs a command. Python itself has started when it prints, so that a busy machine changes no delay.
+ANNOUNCED = """
+import runpy, sys
+print("begun", flush=True)
+runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
+"""
 # Delays in seconds: some signals arrive during imports, others during the compilation of kernels.
 GRID = [
     *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
@@ -60,7 +66,8 @@ if IS_SOAK:
 @pytest.mark.parametrize(("delay", "name"), GRID)
 def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
     number = getattr(signal, name)
-    with begun(["-m", "warpdiff", "brdf", "--heightfield", "blazed", "-o", "map.png"], tmp_path) as process:
+    with begun(["-c", ANNOUNCED, "brdf", "--heightfield", "blazed", "-o", "map.png"], tmp_path) as process:
+        assert process.stdout.readline() == "begun\n"
         time.sleep(delay)
         process.send_signal(number)
         begin = time.monotonic()

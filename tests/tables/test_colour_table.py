@@ -19,7 +19,7 @@ from warpdiff.tables import colour_curves, colour_table
 from warpdiff.tables.lookup import ColourLookup
 from warpdiff.tables.mip_layout import MipLayout
 
-# Short coherence: the orders of a 12.8 µm patch overlap, so that each colour is a sum of many orders.
+# The coherence is so short that the orders of a 12.8 µm patch overlap, and each colour is a sum of many orders.
 SHORT = wd.Coherence(sigma_um=3.25)
 
 

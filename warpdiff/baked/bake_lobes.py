@@ -47,14 +47,15 @@ _BLUE_UM = 0.43
 # First number: largest error from the truncated set of functions of w, as a share of the tolerance. Second number:
 # relative tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# First number: typical number of colours that are computed for a table. Second number: limit on the estimated time for
-# them [s on one core]. Estimates are too long: for a source of 2° over a patch of 12.8 µm, 83 s were estimated and 25 s
-# measured.
+# First number: typical number of colours that are computed for a table. Second number: maximum of the estimated time
+# for them [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8 µm, 83 s were estimated and
+# 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
 # their colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# Number of samples over |w| in a table's functions, and over |κ| in its zeroth order.
+# First number: samples over |w| of each function of w that the table stores. Second number: samples over |κ| of the
+# zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
@@ -66,8 +67,8 @@ _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170
-# Limit: largest height range of a baked height field [µm]. The powers of a deeper relief oscillate over w so fast that
-# their samples require more than a minute.
+# Largest height range of a height field that can be baked [µm]. The powers of a deeper relief oscillate over w so fast
+# that their samples require more than a minute.
 _MOST_HEIGHT_UM = 12.0
 
 

@@ -145,7 +145,7 @@ class BakedLobes(table_files.SavedTable):
 
     @forks.cached_property
     def coefficients(self) -> NDArray[np.float32]:
-        """Spline coefficients at the nodes, shape (nodes, 3, K)."""
+        """Spline coefficients of X, Y and Z at the nodes of (u, v), for K functions of w, shape (nodes, 3, K)."""
         return quantisation.dequantise(self.scale, self.exponents, self.mantissas)
 
     def colours(self, scattering_vectors: ArrayLike, *, zeroth_order: bool = True) -> NDArray[np.float32]:

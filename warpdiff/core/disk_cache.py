@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Limit on the total size of all files [bytes]. A larger limit only uses more disk space.
+# Maximum total size of all files [bytes]. A larger maximum only uses more disk space.
 MOST_BYTES = 2**30
 # Shortest time of a computation whose arrays are stored in a file [s]. Faster computations are repeated in each
 # process.

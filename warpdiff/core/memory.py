@@ -14,7 +14,7 @@ from warpdiff.core.wording import marked
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Limit on the number of elements of an array. Kernels index arrays by int32; larger indices would overflow.
+# Maximum number of elements of an array. Kernels index arrays by int32; larger indices would overflow.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Memory limits of a control group that are at least this large mean "no limit" [bytes]. Limit: no machine has so much

@@ -57,14 +57,13 @@ _PERCENTILE = 99.9
 # Power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A fit minimises the errors
 # of coefficients relative to their size; coefficients smaller than this noise count as being of this size.
 _NOISE_POWER = 1e-26
-# Smallest |κ| that is a divisor of errors in a fit, as a share of the largest |κ|. A fit minimises errors relative to
-# |κ|, because all coefficients except the specular one vanish at κ = 0. With a smaller share, the specular coefficient
-# would lose digits.
+# Errors in a fit are divided by |κ|, because all coefficients except the specular one vanish at κ = 0. The divisor is
+# at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
 # Number of coefficients that a fit processes at once. Limit: memory is proportional to it.
 _CHUNK = 65_536
-# Limit to which the values of a Taylor basis are clipped, within the range of float32. Only κ far beyond those at which
-# the series converges in float32 give larger values.
+# Largest magnitude of the values of a Taylor basis, within the range of float32. Values at κ far beyond those at which
+# the series converges in float32 would be larger, and are clipped.
 _LARGEST = 1e30
 
 

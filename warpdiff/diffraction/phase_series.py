@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 # Largest number of terms of a series. With 128 terms, a series represents height ranges of about 30 cycles of phase.
 # The memory of a table of coefficients is proportional to the number of terms.
 MAX_TERMS = 128
-# Limit on the cycles of phase over the height range. Tables for more cycles are very large.
+# Maximum number of cycles of phase over the height range. Tables for more cycles are very large.
 _MOST_CYCLES = 100.0
-# Limit on exponents where the error bound of a Taylor series is computed: e^710 would overflow float64.
+# Maximum exponent of e where the error bound of a Taylor series is computed: e^710 would overflow float64.
 _LARGEST_EXPONENT = 700.0
 
 
@@ -136,7 +136,7 @@ def _jacobi_anger_growth(argument: float) -> float:
 
 
 def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield 1, g, g², … without end."""
+    """Yield the powers 1, g, g², … of the values ``g``, without end."""
     value = np.ones_like(g)
     while True:
         yield value

@@ -48,7 +48,7 @@ class ReflectanceSpectra:
         return f"ReflectanceSpectra({spectra}, {len(self.wavelengths_nm)} wavelengths, {low:g} to {high:g} nm)"
 
     def table(self) -> Table:
-        """Return a table with a row per direction and wavelength.
+        """Return a table with a row per pair of directions and wavelength.
 
         Its columns are the angles of light and view from the normal (``theta``, 0 to 90) and around it from the x axis
         (``phi``, −180 to 180) in degrees, the wavelength and the reflectance.

@@ -14,16 +14,11 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Memory at the peak of methods of `HeightField` [bytes per sample], as measured, without the field itself. Doubled
-# values refuse fields that fit.
+# Largest memory that methods of `HeightField` require [bytes per sample], as measured, without the field itself. If
+# doubled, fields are refused that would fit.
 _BYTES_PER_SAMPLE = {
-    "levelled": 34.0,
-    "despiked": 88.0,
-    "periodic": 62.0,
-    "periods": 107.0,
-    "whole_periods": 107.0,
-    "roughness": 115.0,
-}
+    "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
+}  # fmt: skip
 
 
 def require_memory(method: str, shape: tuple[int, int]) -> None:
@@ -36,15 +31,15 @@ def require_memory(method: str, shape: tuple[int, int]) -> None:
 
 
 def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) -> NDArray[np.float64]:
-    """Subtract the least-squares polynomial of total degree ``order``."""
-    # Tensor products of orthonormal bases are orthonormal. Without gaps, projections are therefore the least-squares
-    # solution, and no system of equations is solved.
+    """Return heights without their least-squares polynomial of total degree ``order``."""
+    # The fitted functions are products of orthonormal polynomials in y and in x. Without gaps they are orthonormal too,
+    # so that scalar products with the heights are the least-squares coefficients, without a system of equations.
     along_y, along_x = (_polynomials(n, order) for n in heights.shape)
     with single_threaded_blas():
         coefficients = along_y.T @ np.where(missing, 0.0, heights) @ along_x
         fitted = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
         if missing.any():
-            # With gaps the bases are not orthogonal, and a small system of their scalar products is solved.
+            # With gaps the fitted functions are not orthogonal, and a small system of their scalar products is solved.
             squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
             products = np.einsum("yab,yx,xcd->acbd", squares[0], ~missing, squares[1], optimize=True)
             coefficients[fitted] = np.linalg.lstsq(products[fitted][:, fitted], coefficients[fitted], rcond=None)[0]
@@ -54,7 +49,7 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
-    """Return polynomials of increasing degree, orthonormal on equidistant samples, shape (samples, degrees)."""
+    """Return polynomials of increasing degree, orthonormal on equidistant samples, shape (samples, polynomials)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
 
@@ -63,7 +58,7 @@ def despike(
     measured: NDArray[np.float64], missing: NDArray[np.bool_], pitch_um: tuple[float, float], threshold: float,
     size_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Replace elevations that stand out from the surface, see `HeightField.despiked`."""
+    """Return heights in which elevations that stand out are replaced, see `HeightField.despiked`."""
     from scipy import ndimage
 
     coarsest = max((pitch for n, pitch in zip(measured.shape, pitch_um, strict=True) if n > 1), default=0.0)
@@ -81,7 +76,8 @@ def despike(
         residual = heights - _blurred(heights * valid, pitch_um, size_um) / weight
         lower, median, upper = np.quantile(residual[known], (0.025, 0.5, 0.975))
         scale = max(upper - median, median - lower) / 1.96
-        # On a flat field the scale would be the rounding noise of the convolution; it has no spikes.
+        # On a flat field, differences from the background are only rounding errors of the convolution. It has no
+        # spikes.
         if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
             break
         score = np.where(missing, 0.0, (residual - median) / scale)
@@ -97,25 +93,27 @@ def despike(
     valid = known.astype(np.float64)
     filled = np.full(heights.shape, np.mean(heights[known if known.any() else ~missing]))
     for spread in size_um * 2.0 ** np.arange(1, -4, -1):
-        # Where a fine scale has nearly no weight, the value of the coarser scale remains.
+        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any valid
+        # sample, the average of the wider one remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():
-        # Weighted means lie within the heights around them, but for the rounding of the transforms.
+        # Weighted means lie between the heights that they average. Rounding errors of the Fourier transforms may exceed
+        # this range, and are clipped.
         filled = np.clip(filled, np.min(heights[known]), np.max(heights[known]))
     return np.where(spikes, filled, measured)
 
 
 @np.errstate(under="ignore")
 def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_um: float) -> NDArray[np.float64]:
-    """Convolve ``values`` (ny, nx) with a Gaussian; values outside the field are zero.
+    """Convolve ``values`` (ny, nx) with a Gaussian; values outside the field count as zero.
 
-    The kernel is sampled in space. It is positive at every pitch, whereas a Gaussian transfer function becomes a sinc
-    with negative lobes where the pitch is coarse.
+    The Gaussian is sampled in space, where it is positive at every pitch. If it were sampled in the frequency domain,
+    it would become a sinc with negative lobes at a coarse pitch.
     """
     from scipy import fft
 
-    # Padding by four standard deviations prevents circular wrap-around.
+    # Fourier transforms convolve periodically. Padding by four standard deviations keeps opposite edges apart.
     padded = tuple(
         1 if n == 1 else fft.next_fast_len(n + math.ceil(min(4.0 * spread_um / pitch, n)), real=True)
         for n, pitch in zip(values.shape, pitch_um, strict=True)
@@ -125,14 +123,17 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
         for n, pitch in zip(padded, pitch_um, strict=True)
     ]
     spectrum = np.fft.rfft2(values, padded)
-    # A symmetric kernel has a real transform.
+    # The kernels are symmetric, so that their Fourier transforms are real.
     spectrum *= np.fft.fft(kernels[0]).real[:, None] / np.sum(kernels[0])
     spectrum *= np.fft.rfft(kernels[1]).real / np.sum(kernels[1])
     return np.fft.irfft2(spectrum, padded)[: values.shape[0], : values.shape[1]]
 
 
 def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the smooth part that `HeightField.periodic` subtracts, with half of the jump at each edge."""
+    """Return the smooth part of Moisan's decomposition, which `HeightField.periodic` subtracts.
+
+    At each edge it has half of the jump between opposite edges.
+    """
     ny, nx = heights.shape
     jumps = np.zeros(heights.shape)
     across_y = heights[0] - heights[-1]
@@ -153,7 +154,7 @@ def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
 def crop(
     heights: NDArray[np.float64], pitch_um: tuple[float, float], size_um: object, offset_um: object
 ) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Return a view of a rectangle, and its first row and column, see `HeightField.cropped`."""
+    """Return a rectangle of heights as a view, and its first row and column, see `HeightField.cropped`."""
     size = validation.pair(size_um, "size_um")
     if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
         raise ArgumentValueError(f"{ref('offset_um')} must be a pair (y, x) or None, got {offset_um!r}")
@@ -215,8 +216,8 @@ def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArra
     result = np.zeros((*spectrum.shape[:-1], count // 2 + 1), dtype=np.complex128)
     result[..., : common // 2 + 1] = spectrum[..., : common // 2 + 1]
     if common % 2 == 0:
-        # The Nyquist term represents both frequencies ±common/2 in the coarser series, but only one in the finer
-        # series.
+        # The Nyquist term of the coarser series represents both frequencies ±common/2. In the finer series, it
+        # represents only one of them.
         result[..., common // 2] *= 0.5 if count > old_count else 2.0
     resampled = np.fft.irfft(result, count, axis=-1) * (count / old_count)
     return np.moveaxis(resampled, -1, axis)

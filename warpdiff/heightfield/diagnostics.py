@@ -20,17 +20,18 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.periods import Period
     from warpdiff.heightfield.theory_verdict import TheoryVerdict
 
-# Limits on the periods of a summary: relative standard error, and share of the variance. Doubled values list periods
-# that are less certain, or fewer periods.
+# A summary lists periods with at most this relative standard error, and at least this share of the variance of the
+# heights. If the first number is doubled, less certain periods are listed; if the second is doubled, fewer periods are.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
 
-# Value of |κ| at which aliasing is estimated [1/µm]: normal incidence and view at 380 nm.
+# Value of |κ| for which aliasing is estimated [1/µm]: directions to light and view along the normal, at 380 nm.
 _KAPPA = 2.0 / 0.38
-# Largest number of samples along an axis of the part of a field whose spectrum is computed.
+# Largest number of samples along each axis for the spectrum from which aliasing is estimated. Larger fields are cut.
 _SAMPLES = 512
-# Half width of the rings of frequency over which powers are averaged, relative to the Nyquist limit.
+# Half width of the rings of spatial frequency over which powers are averaged to estimate aliasing, relative to the
+# Nyquist limit.
 _RING = 0.1
-# Number of samples whose slopes are computed at once, which limits memory.
+# Number of samples whose slopes are computed at once. Limit: memory.
 _SAMPLES_AT_ONCE = 2**18
 _spectra: weakref.WeakKeyDictionary[HeightField, tuple[np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
 
@@ -50,10 +51,10 @@ class HeightFieldSummary:
         periods: Periods that repeat at least three times, have a standard error of at most 1 %, and explain at least
             1 % of the variance, see `HeightField.periods`. A field of a single period has none.
         max_uv: Largest component of the scattering vector (u, v) = −ωi − ωr that the pitch supports at 380 nm:
-            λ / (2 · pitch). From 2 on, no pair of light and view aliases.
+            λ / (2 · pitch). If it is at least 2, no pair of directions to light and view suffers from aliasing.
         verdict: Verdict on scalar diffraction at 550 nm, as far as it follows from the heights alone.
         missing: Number of missing samples.
-        orientation: Where row 0 is, in words.
+        orientation: Position of row 0 of the file or array, in words.
     """
 
     shape: tuple[int, int]
@@ -115,7 +116,7 @@ def summarise(heightfield: HeightField) -> HeightFieldSummary:
 
 
 def _orientation(heightfield: HeightField) -> str:
-    """Return where row 0 of a file or an array is."""
+    """Return the position of row 0 of the file or array of a height field, in words."""
     source = heightfield.source
     if source is None:
         return "row 0 at y = 0, z towards the viewer"
@@ -125,7 +126,7 @@ def _orientation(heightfield: HeightField) -> str:
 
 
 def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
-    """Root mean square slope between neighbouring samples, without those across the edges."""
+    """Return the root mean square slope between neighbouring samples, without those across the edges."""
     total = 0.0
     for axis in (0, 1):
         if heights_um.shape[axis] > 1:
@@ -136,10 +137,11 @@ def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) ->
 
 
 def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
-    """Mean absolute slope between neighbouring samples of a periodic field, also across the edges."""
+    """Return the mean absolute slope between neighbouring samples of a periodic field, also across the edges."""
     ny, (dy, dx) = heights_um.shape[0], pitch_um
     total, count = 0.0, 0
-    # The loop over blocks of rows limits memory. An axis of one sample is its own neighbour and has no slope.
+    # The loop over blocks of rows limits memory. Along an axis of one sample, the neighbour of a sample is the sample
+    # itself, so that the slope is 0.
     for rows in np.array_split(np.arange(ny), -(-heights_um.size // _SAMPLES_AT_ONCE)):
         block = heights_um[rows]
         along_y, along_x = heights_um[(rows + 1) % ny] - block, np.roll(block, -1, axis=1) - block
@@ -150,15 +152,15 @@ def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -
 
 
 def coarsest_pitch_um(heightfield: HeightField) -> float:
-    """Larger pitch of the axes with more than one sample [µm]; 0 if there is none."""
+    """Return the larger pitch [µm] of the axes with more than one sample; 0 if no axis has."""
     return max((pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True) if n > 1), default=0.0)
 
 
 def folded_power(heightfield: HeightField, frequency: float) -> float:
-    """Power that aliases onto coefficients at a frequency [1/µm], relative to their own power, at most 1.
+    """Return the power that aliases onto coefficients at a frequency [1/µm], relative to their own power, at most 1.
 
     Power of exp(2πiκh) beyond the Nyquist limit aliases. It cannot be measured from the samples. The estimate is the
-    power just below the limit, an upper bound if the spectrum decreases.
+    power just below the limit. It is an upper bound if the power decreases with the frequency.
     """
     pitch = coarsest_pitch_um(heightfield)
     if pitch == 0.0 or heightfield.height_range_um == 0.0:
@@ -176,7 +178,7 @@ def folded_power(heightfield: HeightField, frequency: float) -> float:
 
 @np.errstate(under="ignore")
 def _spectrum(heightfield: HeightField) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [1/µm] and powers of the coefficients of a part of the height field, as flat arrays."""
+    """Return frequencies [1/µm] and powers of the Fourier coefficients of a part of a height field, as flat arrays."""
     if heightfield not in _spectra:
         part = heightfield.heights_um[:_SAMPLES, :_SAMPLES]
         field = np.exp(2j * math.pi * _KAPPA * part)

@@ -1,4 +1,4 @@
-"""Checks before an evaluation: whether a field is levelled, and whether its opposite edges match."""
+"""Checks of a height field before an evaluation: whether it is levelled, and whether its opposite edges match."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Standard deviation of the fitted plane over that of the remaining roughness, above which a field counts as tilted.
-# Measured on a patch of 18 µm: at 0.3 colours do not change, at 1 the scattered power falls by 29 %.
+# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as
+# tilted. Measured on a patch of 18 µm: at a ratio of 0.3 colours do not change, at 1 the scattered power falls by 29 %.
 _MOST_TILT = 1.0
-# The same ratio at which the plane is exact, as of one period of a blazed grating.
+# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as an
+# exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed grating.
 _EXACT = 1e6
-# Standard deviation of the smooth part of Moisan's decomposition over that of the heights, above which edges count as
-# unequal: the limit of `HeightField.periodic`, below which patches of many grains stay.
+# Ratio of the standard deviation of the smooth part of Moisan's decomposition to that of the heights, above which
+# opposite edges count as unequal. `HeightField.periodic` warns from the same ratio. Patches with many features are
+# below it.
 _MOST_CHANGE = 0.4
-# Jump across the edges relative to the largest steps within the field, above which it is no wall of a grating.
+# Ratio of the jump across opposite edges to the largest steps between neighbouring samples. Up to this ratio, the jump
+# may be a wall of a grating, and no warning follows.
 _MOST_JUMP = 1.5
-# Share of the interfering pairs of points with an edge between them, from which edges matter. Derived for a Gaussian
-# window: their mean distance along an axis is 2σ/√π.
+# Share of the interfering pairs of points with an edge of the field between them, from which a warning follows. It is
+# derived for a Gaussian window, in which two points have a mean distance of 2σ/√π along an axis.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 
@@ -40,7 +43,7 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
     Args:
         heightfield: Field without gaps.
         coherence: Coherence of the evaluation.
-        longest_um: Longest wavelength [µm].
+        longest_um: Longest wavelength of the evaluation [µm].
     """
     if heightfield in _warned:
         return
@@ -76,25 +79,27 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
 
 def _jump(heights: NDArray[np.float64], axis: int) -> float:
-    """Root mean square jump across the edges relative to the largest steps within a field; 0 for a flat one."""
+    """Return the rms jump across opposite edges relative to the largest steps within the field; 0 without a jump."""
     if heights.shape[axis] < 3:
         return 0.0
     jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))
     if jump <= 1e-9 * float(np.max(np.abs(heights))):
         return 0.0
-    # A wall of a grating is in most of the lines along the axis, and dust in few of them.
+    # The largest step of each line along the axis is computed, and the median over all lines is used. It includes walls
+    # of a grating, which are in most lines, and excludes dust, which is in few lines.
     largest = float(np.median(np.max(np.abs(np.diff(heights, axis=axis)), axis=axis)))
     return jump / largest if largest > 0.0 else 0.0
 
 
 def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
-    """Share of the interfering pairs of points that have an edge between them, along one axis."""
+    """Return the share of the interfering pairs of points that have an edge between them, along one axis."""
     if coherence.periods is not None:
         return 0.0 if coherence.periods[axis] == 1 else 1.0
     sigma = coherence.sigma_um
     if sigma is None:
         sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
     if coherence.kind == "centred" and coherence.centre_um is None:
-        # One window in the middle of the patch; its weight beyond the edges.
+        # A single window is in the middle of the patch. Pairs of points with an edge between them have the share of its
+        # weight that lies beyond the edges.
         return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
     return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 Axis = Literal["y", "x"]
 Rows = reader_registry.Rows
 
-# Memory at the peak, as measured: while a field is made from an array [bytes per sample], and while gaps are filled
-# [bytes per missing sample]. Doubled values refuse fields that fit.
+# Largest memory that is required, as measured: bytes per sample while a field is made from an array, and bytes per
+# missing sample while gaps are filled. If doubled, fields are refused that would fit.
 _BYTES_MADE, _BYTES_PER_GAP = 13.0, 700.0
-# Root mean square change of the heights by periodic(), relative to their standard deviation, above which it warns.
+# Root mean square change of the heights by `HeightField.periodic`, relative to their standard deviation, above which
+# that method warns.
 _MOST_CHANGE = 0.4
 
 
@@ -72,7 +73,7 @@ class HeightField:
 
     @classmethod
     def of_known_scale(cls, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> HeightField:
-        """Make a height field without the check of its scale.
+        """Make a height field without a check for codes of missing data and for wrong units.
 
         Args:
             heights_um: Surface heights [µm], shape (ny, nx), as for the class itself.
@@ -87,7 +88,7 @@ class HeightField:
         return field
 
     def _set(self, heights_um: ArrayLike, pitch_um: float | tuple[float, float]) -> None:
-        """Check the arguments and set the attributes."""
+        """Check the arguments of a new field and set its attributes."""
         if isinstance(heights_um, np.ndarray) and heights_um.ndim == 2:
             ny, nx = heights_um.shape
             memory.require_memory(
@@ -107,7 +108,7 @@ class HeightField:
         for array in (heights, missing):
             array.setflags(write=False)
         self._heights_um, self._missing = heights, missing
-        # Every picture reads these two numbers.
+        # The number of missing samples and the height range are stored, because every picture reads them.
         self._missing_count = int(np.count_nonzero(missing))
         self._height_range_um = float(np.nanmax(heights) - np.nanmin(heights))
         self._pitch_um = validation.pair(pitch_um, "pitch_um")
@@ -148,8 +149,8 @@ class HeightField:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities; its scale is
-                not given exactly once; or it has no such channel.
+            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities; its size
+                or pitch is not given exactly once; or it has no channel of the given name.
 
         Examples:
             >>> import pathlib, tempfile
@@ -274,7 +275,7 @@ class HeightField:
     def source(self) -> Source | None:
         """File, channel, orientation of rows, and metadata of the instrument; None for heights from an array.
 
-        Methods that keep the orientation keep it; `flipped` and `rotated` do not.
+        Methods return fields of the same source, except for `flipped` and `rotated`, whose fields have no source.
         """
         return self._source
 
@@ -396,7 +397,7 @@ class HeightField:
 
         The score of a sample is its height above a smooth background in units of a robust scale. The background is a
         Gaussian convolution of standard deviation ``size_um`` that excludes detected spikes; it is computed three
-        times. The scale is the distance from the median of the heights above it to their 2.5 % or 97.5 % quantile,
+        times. The scale is the distance from the median height above the background to the 2.5 % or 97.5 % quantile,
         whichever is larger, divided by 1.96. For Gaussian roughness it equals the standard deviation. (The median
         absolute deviation is zero for a rectangular grating and would flag all its ridges.) Samples above ``threshold``
         and connected samples above 0.8 ``threshold``, slightly dilated, are filled by normalised convolutions from
@@ -495,7 +496,8 @@ class HeightField:
         """
         turns = validation.count(quarter_turns, "quarter_turns", least=-validation.MOST_COUNT) % 4
         pitch = self.pitch_um[::-1] if turns % 2 else self.pitch_um
-        # The row index increases with y, but NumPy rotates as if it increased downwards.
+        # numpy.rot90 assumes that the first row is at the top, but here it is at the bottom. The sign of the turns is
+        # therefore reversed.
         result = HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
         return result._after(self, f"Rotated by {90 * turns}° counter-clockwise.")
 
@@ -591,9 +593,9 @@ class HeightField:
         and tilt, while rough surfaces of any correlation have none. A wave whose phase wavers has one period, at its
         mean frequency. Missing samples have no weight.
 
-        A length is much more precise than the resolution of the Fourier transform. Its standard error includes noise,
-        steps between scan lines, and the variation of the period over the field. A field of a single period, as
-        `gratings` make it, repeats nothing and has none.
+        The length of a period is much more precise than the resolution of the Fourier transform. Its standard error
+        includes noise, steps between scan lines, and the variation of the period over the field. A field of a single
+        period, as `gratings` make it, repeats nothing and has no such period.
 
         Args:
             count: Largest number of periods, at least 1, default 3. Waves that explain less than 0.1 % of the variance
@@ -659,19 +661,19 @@ class HeightField:
         return diagnostics.summarise(self)
 
     def _with_heights(self, heights: NDArray[np.float64]) -> HeightField:
-        """Return a field of other heights at the same pitch."""
+        """Return a field with other heights, of the same pitch and the same source."""
         field = HeightField.of_known_scale(heights, self.pitch_um)
         field._source = self._source
         return field
 
     def _after(self, origin: HeightField, step: str) -> HeightField:
-        """Set the history of a new field: that of the field it was made from, and one step; return the field."""
+        """Set the history of this field to that of the field it was made from, plus one step; return this field."""
         self._history = (*origin._history, step)
         return self
 
 
 def check_whole(heightfield: HeightField) -> None:
-    """Raise an error if an argument is not a height field, or has missing samples."""
+    """Raise an error if an argument of a call is not a height field, or has missing samples."""
     validation.instance(heightfield, HeightField, "heightfield")
     if count := heightfield._missing_count:
         raise ArgumentValueError(

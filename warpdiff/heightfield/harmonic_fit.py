@@ -1,4 +1,4 @@
-"""Least-squares fit of a wave of any frequency with its harmonics, and the variance of its frequency."""
+"""Least-squares fit of a wave of unknown frequency with its harmonics, and the covariance of the fitted frequency."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Waves with fewer cycles over the field may belong to the form of the surface.
+# Smallest number of cycles over the field for a wave to count as a period. Slower waves may belong to the overall form
+# of the surface.
 FEWEST_PERIODS = 3.0
-# Limit on the number of harmonics of a wave.
+# Largest number of harmonics of a wave, including the fundamental.
 MOST_HARMONICS = 16
-# Largest frequency of a harmonic relative to the Nyquist limit, at which a sine may vanish on all samples.
+# Largest frequency of a harmonic, relative to the Nyquist limit. At the limit itself, a sine may vanish on all samples.
 OF_NYQUIST = 0.9
-# Samples per period of the shortest harmonic; more are averaged over blocks, which saves time. With two, harmonics
-# alias.
+# Number of values per period of the shortest harmonic. Finer samples are averaged over blocks before a fit, which saves
+# time. With two values per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
-# Limit on the number of elements of the matrix of a fit, which limits time and memory.
+# Largest number of elements of the matrix of a least-squares fit. Limit: time and memory.
 _MOST_ELEMENTS = 2_000_000
-# Smallest significant amplitude of a harmonic, in standard deviations of the amplitude of noise.
+# Smallest amplitude of a significant harmonic, in standard deviations of the amplitudes that noise causes.
 _OVER_NOISE = 4.0
-# Limit on the steps of a fit.
+# Largest number of Gauss-Newton steps of a fit.
 _MOST_STEPS = 12
-# Change of frequency [cycles over the field] that ends a fit.
+# Change of the frequency in one step [cycles over the field] below which a fit ends.
 _CONVERGED = 1e-6
 
 
@@ -34,11 +35,12 @@ def fit_wave(
     heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64],
 
 ) -> HarmonicFit:  # fmt: skip
-    """Fit a wave of a frequency near ``q`` [1/µm], with its significant harmonics and a tilt, to the known samples."""
+    """Fit a wave with its significant harmonics and a tilt to the known samples; its frequency is near ``q`` [1/µm]."""
     means = _Means.of(heights, known, pitch, q, MOST_HARMONICS)
     fit = means.fitted()
     residual = np.where(known, heights - fit.heights(), 0.0)
-    # Harmonics below the noise would change the frequency; they are removed and the fit is repeated.
+    # Harmonics with amplitudes below the noise would change the fitted frequency. They are removed, and the fit is
+    # repeated.
     amplitude_variance = 2.0 * float(np.mean(residual[known] ** 2)) / np.count_nonzero(known)
     significant = fit.amplitudes > _OVER_NOISE * math.sqrt(amplitude_variance)
     significant[0] = True
@@ -51,10 +53,10 @@ def fit_wave(
 def fit_sine(
     heights: NDArray[np.float64], known: NDArray[np.bool_], cycles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the frequency of the sine nearest to ``cycles`` [cycles over the field], and its heights.
+    """Fit a sine of a frequency near ``cycles`` [cycles over the field]; return its frequency and its heights.
 
-    The frequency maximises the Fourier integral with a Hann window, to 1 % of a cycle. `fit_wave` is more precise and
-    takes several times as long.
+    The frequency maximises the Fourier integral of the heights with a Hann window, to 1 % of a cycle. `fit_wave` is
+    more precise and takes several times as long.
     """
     shape = heights.shape
     places = [np.arange(n) / n - 0.5 for n in shape]
@@ -71,7 +73,7 @@ def fit_sine(
         row, column = np.unravel_index(int(np.argmax(power)), power.shape)
         best = best + np.array([steps[0][row], steps[1][column]])
     along_y, along_x = (np.exp(2j * np.pi * c * place) for c, place in zip(best, places, strict=True))
-    # Least squares of the cosine and the sine over the known samples.
+    # Least-squares amplitudes of the cosine and the sine of the fitted frequency, over the known samples.
     weight = known.astype(np.float64)
     twice = np.conj(along_y) ** 2 @ weight @ np.conj(along_x) ** 2 / np.sum(weight)
     once = 2.0 * (np.conj(along_y) @ np.where(known, heights, 0.0) @ np.conj(along_x)) / np.sum(weight)
@@ -81,18 +83,18 @@ def fit_sine(
 
 @dataclass
 class _Means:
-    """Means of heights over blocks of samples, to which waves with frequencies near ``q`` are fitted.
+    """Means of the heights in k blocks of samples, to which a wave with a frequency near ``q`` is fitted.
 
     Attributes:
         y: Centres of the blocks along y, relative to the centre of the field [µm], shape (k,).
         x: Centres of the blocks along x, relative to the centre of the field [µm], shape (k,).
-        values: Means of the known samples of the blocks [µm], shape (k,).
-        weights: Numbers of the known samples of the blocks, shape (k,).
-        shape: Number of samples (ny, nx).
+        values: Means of the known samples in the blocks [µm], shape (k,).
+        weights: Numbers of known samples in the blocks, shape (k,).
+        shape: Number of samples of the field (ny, nx).
         pitch: Distance of the samples (dy, dx) [µm].
         blocks: Number of samples of a block along y and x.
-        q: Initial frequency (y, x) of a fit [1/µm].
-        orders: Harmonics to fit; 1 is the fundamental.
+        q: Frequency (y, x) at which the fit begins [1/µm].
+        orders: Numbers of the harmonics to fit; 1 is the fundamental.
     """
 
     y: NDArray[np.float64]
@@ -110,7 +112,7 @@ class _Means:
         cls, heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float],
         q: NDArray[np.float64], most: int,
     ) -> _Means:  # fmt: skip
-        """Average over blocks that are small enough for a wave of frequency ``q`` and its harmonics."""
+        """Average heights over blocks that are small enough for a wave of frequency ``q`` and its harmonics."""
         orders, blocks = _orders_and_blocks(q, heights.shape, pitch, most)
         shape = [n // block for n, block in zip(heights.shape, blocks, strict=True)]
         whole = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
@@ -129,18 +131,18 @@ class _Means:
 
     @property
     def sizes(self) -> list[float]:
-        """Extents along y and x [µm]."""
+        """Extents of the field along y and x [µm]."""
         return [n * step for n, step in zip(self.shape, self.pitch, strict=True)]
 
     @property
     def free(self) -> list[int]:
-        """Axes with more than one sample."""
+        """Axes along which the field has more than one sample: 0 for y, 1 for x."""
         return [axis for axis in (0, 1) if self.shape[axis] > 1]
 
     def fitted(self) -> HarmonicFit:
         """Fit a wave with its harmonics and a tilt by the Gauss-Newton method; each step solves for all amplitudes.
 
-        In strong noise a step can increase the residual, so that the best step is returned.
+        In strong noise a step can increase the residual. The result with the smallest residual is therefore returned.
         """
         q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
         best, least = None, math.inf
@@ -155,7 +157,7 @@ class _Means:
             linear = _solved(columns, self.values, root)
             residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
-            # Derivatives of the heights by the frequency, per cycle over the field.
+            # Derivatives of the heights with respect to the frequency along each axis, per cycle over the field.
             columns += [slope * place for place in relative]
             if residual < least:
                 normal = np.stack(columns, axis=1)
@@ -170,7 +172,7 @@ class _Means:
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
             if math.hypot(*(q * self.sizes)) < 1.0:
-                # Less than a cycle cannot be distinguished from a bow.
+                # A wave of less than one cycle over the field cannot be distinguished from a bow.
                 break
         assert best is not None  # noqa: S101 - for mypy; the first step sets it
         return best
@@ -178,17 +180,17 @@ class _Means:
 
 @dataclass
 class HarmonicFit:
-    """Fitted wave.
+    """Wave with harmonics and a tilt that are fitted to the heights of a field.
 
     Attributes:
         q: Frequency (y, x) [1/µm].
-        orders: Harmonics; 1 is the fundamental.
-        linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt.
-        covariance: Covariance of the frequency along the free axes [cycles over the field], for white noise of
-            variance 1.
+        orders: Numbers of the fitted harmonics; 1 is the fundamental.
+        linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt [µm].
+        covariance: Covariance matrix of the frequency along the axes of ``free`` [cycles over the field], if the
+            heights have white noise of variance 1.
         shape: Number of samples (ny, nx).
         pitch: Distance of the samples (dy, dx) [µm].
-        free: Axes with more than one sample.
+        free: Axes along which the field has more than one sample: 0 for y, 1 for x.
     """
 
     q: NDArray[np.float64]
@@ -201,18 +203,21 @@ class HarmonicFit:
 
     @property
     def amplitudes(self) -> NDArray[np.float64]:
-        """Amplitudes of the harmonics [µm]."""
+        """Amplitudes of the fitted harmonics [µm], in the order of ``orders``."""
         count = len(self.orders)
         return np.hypot(self.linear[:count], self.linear[count : 2 * count])
 
     def _places(self) -> list[NDArray[np.float64]]:
-        """Coordinates of the samples along y and x, relative to the centre of the field [µm]."""
+        """Return the coordinates of the samples along y and x, relative to the centre of the field [µm]."""
         return [
             (np.arange(n, dtype=np.float64) - n / 2.0) * step for n, step in zip(self.shape, self.pitch, strict=True)
         ]
 
     def heights(self) -> NDArray[np.float64]:
-        """Heights of all samples, shape (ny, nx), with the tilt, which the next fit would otherwise find as a wave."""
+        """Return the heights of the fitted wave at all samples [µm], shape (ny, nx).
+
+        They include the fitted tilt, which the fit of the next wave would otherwise take for a wave.
+        """
         places, count = self._places(), len(self.orders)
         result = np.full(self.shape, self.linear[2 * count])
         for axis, tilt in zip(self.free, self.linear[2 * count + 1 :], strict=True):
@@ -221,11 +226,11 @@ class HarmonicFit:
         return result + self._sum(np.ones(count))
 
     def slopes(self) -> NDArray[np.float64]:
-        """Derivatives of the wave by its phase at all samples [µm], shape (ny, nx)."""
+        """Return the derivatives of the wave with respect to its phase at all samples [µm], shape (ny, nx)."""
         return self._sum(np.asarray(1j * self.orders, dtype=np.complex128))
 
     def _sum(self, factors: NDArray[np.complex128] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum of the harmonics with complex factors, shape (ny, nx)."""
+        """Return the sum of the harmonics, each multiplied by a complex factor, at all samples, shape (ny, nx)."""
         places, count = self._places(), len(self.orders)
         amplitudes = factors * (self.linear[:count] - 1j * self.linear[count : 2 * count])
         result = np.zeros(self.shape)
@@ -238,11 +243,12 @@ class HarmonicFit:
 def _orders_and_blocks(
     q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float], most: int
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the harmonics to fit, and the number of samples of a block along y and x."""
+    """Return the numbers of the harmonics to fit, and the number of samples of a block along y and x."""
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(most, math.floor(0.5 * OF_NYQUIST / max(cycles))))
     while True:
-        # The number of blocks along an axis suffices for at least one period.
+        # The wave may hardly change along one axis. Blocks along this axis are as short as for a wave with one period
+        # over the field.
         density = [_SAMPLES_PER_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
         blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
         elements = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)
@@ -252,7 +258,7 @@ def _orders_and_blocks(
 
 
 def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    """Transfer function of means over blocks of samples, for frequencies in cycles per sample."""
+    """Return the factors by which means over blocks of samples weaken waves, for frequencies in cycles per sample."""
     turn = np.sin(np.pi * cycles)
     tiny = np.abs(turn) < 1e-9
     return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))
@@ -261,6 +267,9 @@ def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
 def _solved(
     columns: list[NDArray[np.float64]], values: NDArray[np.float64], root: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Weighted least squares by the normal equations, which are well conditioned, as waves are nearly orthogonal."""
+    """Return the weighted least-squares solution by the normal equations.
+
+    These equations are well conditioned, because waves of different frequencies are nearly orthogonal.
+    """
     matrix = np.stack(columns, axis=1) * root[:, None]
     return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ (values * root), rcond=1e-12)[0], dtype=np.float64)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Residual of the linear equations, relative to its first value, at which the solver stops.
 _CONVERGED = 1e-10
-# Limit on the number of steps of the conjugate gradient method; about twenty steps suffice.
+# Maximum number of steps of the conjugate gradient method; about twenty steps suffice.
 _MOST_STEPS = 200
 # Least weight of the neighbours along the axis with the coarser pitch, relative to the neighbours along the other axis.
 # Limit: smaller weights are lost in rounding.

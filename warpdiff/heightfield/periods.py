@@ -1,4 +1,4 @@
-"""Periods of a height field: lines of its spectrum, their mean frequency, and its standard error."""
+"""Periods of a height field: waves that cause lines of its spectrum, their mean frequencies and standard errors."""
 
 from __future__ import annotations
 
@@ -24,39 +24,51 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Share of the variance below which a wave is not reported.
+# Share of the variance of the heights below which a wave is not reported.
 _LEAST_SHARE = 1e-3
-# Deviation of the heights relative to their magnitude below which a field counts as flat.
+# Standard deviation of the heights, relative to the largest absolute height, below which a field counts as flat.
 _ROUNDING = 1e-10
-# Periods that a field may lack of the fewest, as a fitted frequency has an error.
+# Number of periods by which a wave may fall short of the required three, because its fitted frequency has an error.
 _ROUNDED_PERIODS = 0.02
-# Radius of the band around a line, relative to its frequency, and at least [cycles over the field].
+# Radius of the band of frequencies around a line, relative to the frequency of the line; and its minimum [cycles over
+# the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Radius around a wavering wave, relative to its frequency, in which weaker lines are its side lines. Chosen from waves
-# whose phase varies by 2.4 radians, which have no line at their mean frequency. If doubled, other waves are lost.
+# Distance from the frequency of a wavering wave, relative to that frequency, up to which weaker lines belong to the
+# same wave. Chosen from waves whose phase varies by 2.4 radians, which have no line at their mean frequency. If
+# doubled, other waves are lost.
 _SIDE_LINES = 0.55
-# Radius of the bands around the harmonics of a line, relative to its frequency.
+# Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
-# Highest harmonic whose alias is excluded; higher ones have little power, and would cover the spectrum.
+# Highest harmonic whose alias is excluded from the search for further waves. Higher harmonics have little power, and
+# the bands around their aliases would cover the spectrum.
 _MOST_ALIASED = 5
-# Radius of a band in standard deviations of its line.
+# Radius of the band of a wavering wave, in standard deviations of the frequencies in this band, weighted by their
+# power.
 _BAND_IN_DEVIATIONS = 2.5
-# Distance of two lines [cycles], below which they are one: the main lobe of the window.
+# Distance of two lines [cycles over the field] below which they count as one, because they are within one main lobe of
+# the Hann window.
 _RESOLUTION = 2.5
-# Power that a sine may leave in the band relative to its own, for a wave to count as coherent.
+# A wave counts as coherent if, after its best sine is subtracted, less power remains around its frequency than this
+# fraction of the power of the sine.
 _COHERENT = 0.5
-# Share of the rest of the band that a second sine must explain, to be another wave and not a part of a wavering one.
+# After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
+# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies.
 _SECOND = 0.7
-# Power of a line on the other side of a wave, relative to its twin, from which both are its side lines.
+# A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
+# side of the wave has more than this fraction of the power of the line.
 _TWIN = 0.25
-# Largest step and number of steps of the search for the centre of a band.
+# Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
+# band; and step [cycles over the field] below which the search ends.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
-# Lowest frequencies [cycles over the field] whose power gives a standard error: along an axis for coherent waves, in
-# all directions for wavering ones. And the frequency of the equivalent white noise: 0.5 is derived for an endless
-# random walk of the phase; fitted by bench/reproduce/periods.py, for two axes and for one.
+# The standard error of a wave's frequency is estimated from the lowest frequencies in the spectrum of its phase error
+# [cycles over the field]. `_COHERENT_ORDINATES` of them are used along each axis for coherent waves, and those below
+# `_WAVERING_ORDINATES` for wavering waves. Their power is extrapolated to the frequency `_COHERENT_AT` or
+# `_WAVERING_AT`. Pairs of numbers are for fields of two axes and of one. For an endless random walk of the phase this
+# frequency is 0.5; the values are fitted by bench/reproduce/periods.py.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
-# Ratios of the power of random walk and white noise at one cycle that are tried.
+# Ratios of the power of a random walk to that of white noise, at one cycle over the field, that are tried as the
+# spectrum of the phase error.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 # Periods of a field by their largest number.
@@ -77,8 +89,8 @@ class Period:
             mean of the surface in about 95 % of fields.
         direction_deg: Direction of the wave vector [degrees], from x towards y, above −90 and at most 90.
         harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, as the pitch allows; 0 for
-            harmonics below the noise. A wave that wavers by more than a fraction of a period over the field has only
-            the root mean square amplitude of its fundamental.
+            harmonics below the noise. If the phase of a wave varies by more than a fraction of a period over the
+            field, only its fundamental is listed, with the root mean square amplitude.
         share: Share of the variance of the heights, without tilt, that the wave explains.
         frequency: Wave vector (y, x) [cycles per µm].
         is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
@@ -102,8 +114,8 @@ class Period:
     is_coherent: bool
 
     def __str__(self) -> str:
-        """Return the period with its error, and its direction."""
-        # The error is printed with one digit, and the period to the same decimal place.
+        """Return the period, its standard error and its direction as text."""
+        # The standard error is printed with one significant digit, and the period to the same decimal place.
         digits = max(-math.floor(math.log10(max(self.standard_error_um, 1e-6 * self.period_um))), 0)
         length = f"{self.period_um:.{digits}f} ± {self.standard_error_um:.{digits}f} µm"
         return f"{length} at {round(self.direction_deg)}°"
@@ -185,7 +197,8 @@ def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
     deviation = field.rms_um
     if deviation <= _ROUNDING * float(np.max(np.abs(heightfield.heights_um[known]))):
         return ()
-    # Heights of unit variance over a field of unit extent: nothing depends on the unit.
+    # Heights are scaled to a variance of 1, and lengths to the larger extent of the field, so that results do not
+    # depend on the unit.
     extent = max(field.size_um)
     size = field.size_um[0] / extent, field.size_um[1] / extent
     search = _Search(np.where(known, field.heights_um, field.filled().heights_um) / deviation, known, size)
@@ -197,14 +210,14 @@ def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
 
 @dataclass(frozen=True)
 class _Wave:
-    """Wave in heights of unit variance over a field of unit extent.
+    """Wave in a scaled field: the variance of its heights is 1, and its larger extent is 1.
 
     Attributes:
-        q: Frequency (y, x).
+        q: Wave vector (y, x) [cycles per larger extent].
         error: Standard error of the frequency along the wave vector.
-        harmonics: Amplitudes.
-        share: Share of the variance.
-        is_coherent: See `Period`.
+        harmonics: Amplitudes of the fundamental and its harmonics.
+        share: Share of the variance of the heights that the wave explains.
+        is_coherent: Whether the phase is nearly that of a perfect grating, see `Period`.
     """
 
     q: NDArray[np.float64]
@@ -214,7 +227,7 @@ class _Wave:
     is_coherent: bool
 
     def period(self, deviation: float, extent: float) -> Period:
-        """Return the period in µm, for the standard deviation and the larger extent of the field."""
+        """Return the wave in µm, from the standard deviation of the heights and the larger extent of the field [µm]."""
         frequency = float(np.hypot(*self.q))
         qy, qx = (self.q / extent).tolist()
         if qx < 0.0 or (qx == 0.0 and qy < 0.0):
@@ -228,18 +241,18 @@ class _Wave:
 
 
 class _Search:
-    """Search for waves one after the other.
+    """Search for the waves of a height field, one after the other.
 
-    Coherent waves are fitted and subtracted with their harmonics. The bands of other waves are excluded from the
-    further search, as are bands around all harmonics.
+    Coherent waves are fitted and subtracted with their harmonics. Wavering waves, whose phase varies, cannot be
+    subtracted. Bands of frequencies around them, and around the harmonics of all waves, are not searched again.
 
     Attributes:
         heights: Heights of unit variance without the waves found so far, gaps filled, shape (ny, nx).
         known: Mask of the samples that are not missing.
-        sizes: Extents along y and x.
-        excluded: Mask of the coefficients, zero frequency in the centre, that belong to waves found so far.
-        bands: Frequencies [cycles over the field] and radii of the bands of coherent waves.
-        wavering: Frequencies of the other waves [cycles over the field].
+        sizes: Extents along y and x, relative to the larger one.
+        excluded: Mask of the Fourier coefficients that are not searched, zero frequency in the centre.
+        bands: Frequency and radius of the band of each coherent wave found so far [cycles over the field].
+        wavering: Mean frequencies of the wavering waves found so far [cycles over the field].
     """
 
     def __init__(self, heights: NDArray[np.float64], known: NDArray[np.bool_], sizes: tuple[float, float]) -> None:
@@ -251,14 +264,14 @@ class _Search:
 
     @property
     def is_plane(self) -> bool:
-        """Whether both axes have more than one sample."""
+        """Whether the field has more than one sample along both axes."""
         return bool(min(self.heights.shape) > 1)
 
     def strongest(self, count: int) -> list[_Wave]:
-        """Return at most ``count`` waves."""
+        """Find at most ``count`` waves, beginning with the strongest line of the spectrum."""
         waves: list[_Wave] = []
         spectrum = WindowedSpectrum(self.heights)
-        # Side lines of waves that were found already are examined and rejected.
+        # More lines are examined than waves are requested, because side lines of earlier waves are rejected.
         for _ in range(2 * count + 2):
             line = spectrum.strongest_line(self.excluded, self.sizes)
             if line is None:
@@ -271,7 +284,7 @@ class _Search:
         return waves
 
     def _measured(self, spectrum: WindowedSpectrum, line: Line) -> tuple[_Wave | None, WindowedSpectrum]:
-        """Return the wave of a line, or None for a part of another one, and the spectrum for the next search."""
+        """Return the wave that causes a line, or None if another wave does; and the spectrum for the next search."""
         line = self._fundamental(spectrum, line)
         length = float(np.hypot(*line.cycles))
         band = max(_BAND * length, _LEAST_BAND)
@@ -301,7 +314,10 @@ class _Search:
         return wave, spectrum
 
     def _is_side_line(self, spectrum: WindowedSpectrum, cycles: NDArray[np.float64]) -> bool:
-        """Whether a line has a twin on the other side of a coherent wave, as a wave whose phase wavers has."""
+        """Return whether a frequency is that of a side line of a coherent wave.
+
+        Variations of the phase cause pairs of side lines, at mirrored frequencies on both sides of the wave.
+        """
         power = spectrum.around(cycles)
         return any(
             _distance(cycles, centre) < float(np.hypot(*centre))
@@ -310,11 +326,11 @@ class _Search:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Whether a frequency is that of a side line of a wavering wave, whose strongest line may be to one side."""
+        """Return whether a frequency is so near to a wavering wave that a line there belongs to this wave."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
-        """Return the line of which a line is a harmonic, if it has more power."""
+        """Return the line at 1/2 to 1/5 of the frequency of a line if it has more power, otherwise the line itself."""
         best, power = line, spectrum.around(line.cycles)
         for order in (2, 3, 4, 5):
             guess = line.cycles / order
@@ -331,7 +347,7 @@ class _Search:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Whether a sine explains a line, or nearly does so together with a second one at a distance."""
+        """Return whether one sine explains the power around a line, or nearly does so with a second, separate sine."""
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)
         if after - noise < _COHERENT * (before - after):
@@ -343,12 +359,12 @@ class _Search:
     def _without_sine(
         self, heights: NDArray[np.float64], cycles: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the frequency of the sine near another one [cycles], and heights without it."""
+        """Fit a sine near a frequency [cycles over the field]; return its frequency, and the heights without it."""
         fitted, sine = fit_sine(heights, self.known, cycles)
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[_Wave, WindowedSpectrum]:
-        """Fit a wave with its harmonics, and subtract it."""
+        """Fit a coherent wave with its harmonics and subtract it; return it, and the spectrum of the residual."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))
@@ -368,11 +384,11 @@ class _Search:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Variances of white noise that is equivalent to the residual, for the frequency along each axis.
+        """Return the variance of white noise that causes the same error of the frequency as the residual, per axis.
 
-        The residual times the derivative of the wave by its phase is the score of the phase. Its lowest frequencies
-        disturb the fitted frequency, whether they come from noise, from the steps between scan lines or from a wave
-        that wavers.
+        The residual of a fit, times the derivative of the wave with respect to its phase, is the score of the phase.
+        Only its lowest frequencies disturb the fitted frequency. They come from noise, from steps between scan lines or
+        from variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)
         power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))
@@ -386,10 +402,10 @@ class _Search:
         return result
 
     def _wavering(self, line: Line, band: float) -> _Wave | None:
-        """Measure the mean frequency of a wave whose phase wavers; None if its band has no power above the background.
+        """Measure the mean frequency of a wavering wave; return None if its band has no power above the background.
 
-        The mean frequency is the centre of a disc around itself. The standard error is from the slow variation of the
-        local frequency over the field.
+        The mean frequency is the centre of the power in a disc around itself. Its standard error follows from the slow
+        variation of the local frequency over the field.
         """
         from scipy import fft, special
 
@@ -421,7 +437,8 @@ class _Search:
         frequency = float(np.hypot(*q))
         if not frequency > 0.0:
             return None
-        # The local frequency is the imaginary part of z*∂z over |z|², with z the wave without its mean phase.
+        # The band gives a complex wave z. With its derivative ∂z along the wave vector, its local frequency is the
+        # imaginary part of z*∂z over 2π|z|², where z* is the conjugate.
         part = np.where(inside, coefficients, 0.0)
         offset = (q[0] * (rows - centre[0]) / self.sizes[0] + q[1] * (columns - centre[1]) / self.sizes[1]) / frequency
         grid = [n if n == 1 else 2 * n for n in part.shape]
@@ -433,16 +450,17 @@ class _Search:
         distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
         low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
         variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
-        # Noise within the band has no mean frequency of its own, but counts as power.
+        # The variance is relative to all power in the band, but only the power above the background determines the mean
+        # frequency. The ratio of the two powers corrects the standard error.
         error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
         degrees = np.count_nonzero(low)
         error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
-        # Half of the power is at the opposite frequency.
+        # The band contains half of the power of the wave. The other half is at the opposite frequency.
         share = 2.0 * excess / periodic.size
         return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
 
     def _exclude_harmonics(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude a band around a frequency, and wider ones around its harmonics and their aliases."""
+        """Exclude bands around a frequency, its harmonics and their aliases from the further search."""
         self._exclude(cycles, radius)
         shape = np.array(self.heights.shape)
         for order in range(2, MOST_HARMONICS + 1):
@@ -454,7 +472,7 @@ class _Search:
                 self._exclude(alias, radius)
 
     def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude a band around a frequency and the opposite one from the further search."""
+        """Exclude bands around a frequency and around its opposite from the further search."""
         ny, nx = self.excluded.shape
         for centre in (cycles, -cycles):
             rows, columns = (
@@ -466,7 +484,7 @@ class _Search:
 
 
 def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Distance of two frequencies [cycles]."""
+    """Return the distance of two frequencies (y, x) [cycles over the field]."""
     return float(np.hypot(*(a - b)))
 
 
@@ -475,12 +493,12 @@ def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: flo
 
     Args:
         power: Powers at the lowest frequencies; each is distributed exponentially.
-        squares: Squares of the frequencies k.
+        squares: Squares of the frequencies k of these powers.
         at: Frequency to which the spectrum is extrapolated.
 
     Returns:
-        The geometric mean of the power there over all ratios of both, weighted by their likelihoods. The most likely
-        ratio alone is often 0 for a few powers of a random walk.
+        The geometric mean of the extrapolated power over many ratios b/a, weighted by their likelihoods. The most
+        likely ratio alone is often 0, even for a random walk, because the powers are few.
     """
     values = np.maximum(power, 1e-300)
     likelihoods, results = [], []
@@ -494,7 +512,7 @@ def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: flo
 
 
 def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
-    """Crop to the largest part of whole periods, see `HeightField.whole_periods`; return it and the period."""
+    """Crop a field to whole periods, see `HeightField.whole_periods`; return the cropped field and its period."""
     periods = fit(heightfield, 3)
     if not periods:
         raise ArgumentValueError(
@@ -505,6 +523,6 @@ def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
     for axis in (0, 1):
         frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
-        # Along its grooves a wave shifts by less than a period, and the axis stays unchanged.
+        # If the wave shifts by less than a period along an axis, as along its grooves, the field is not cropped there.
         size.append(number / frequency if number else heightfield.size_um[axis])
     return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

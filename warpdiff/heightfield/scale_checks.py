@@ -18,44 +18,49 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Size of an atom [µm]: a smaller pitch or height range is in another unit.
+# Size of an atom [µm]. A smaller pitch or height range is probably in another unit.
 _ATOM_UM = 1e-4
-# Height range [µm] below which a nearly flat field is suspected of another unit of its heights, if another unit makes
-# it usual. Flat and smooth surfaces of such a range exist.
+# Height range [µm] and mean slope below which the unit of a field is doubtful. A warning follows only if another unit
+# makes the field usual, because flat and smooth surfaces of such a range exist.
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
-# Largest pitch [µm] that resolves diffraction of visible light by more than some degrees.
+# Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
-# Half of the shortest visible wavelength [µm]; a smaller field has no order.
+# Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning. Echelles of 76° have a mean slope of 8, and their facets one of 4:
-# from the first limit on the median counts, from the second one on every field is warned of.
+# Mean slopes above which a field gets a warning: above the first number if the median slope also exceeds it, above the
+# second number always. An echelle of 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
-# Height range, relative to the largest height, that counts as rounding of a flat field; it gets no warning.
+# Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. It
+# gets no warning.
 _ROUNDING = 1e-12
-# Units in µm, from the most to the least usual one.
+# Units that users may have meant instead of µm, with their lengths in µm, from the most to the least usual one.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
-# Usual height ranges, pitches [µm] and mean slopes of scans. A unit is proposed if it makes all of them usual.
+# Usual height ranges [µm], pitches [µm] and mean slopes of scans. Another unit is proposed only if it brings all three
+# into these ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm], on a logarithmic scale: the nearest unit is proposed.
+# Middle of the usual height ranges [µm]. If several units are possible, the proposed one brings the height range
+# nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
-# Lengths of a synthetic grating beyond which its unit is in question: period [µm], and depth over period.
+# Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
-# Largest number of slopes along an axis that are measured. Limit: time.
+# Largest number of slopes along each axis from which the mean and the median slope are computed. Limit: time.
 _MOST_SLOPES = 200_000
-# Numbers that instruments and programs write where they have no height.
+# Codes for missing data: numbers that instruments and programs write for samples without a height.
 _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
     65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
 )  # fmt: skip
-# Distance of a code from all other heights, relative to their range: of a usual code, and of any number that at least
-# so many samples have exactly.
+# A number far from all other heights may be a code for missing data. The first two numbers are the smallest distance,
+# relative to the range of the other heights: for the codes listed above, and for any other number. The third is the
+# smallest number of samples with exactly that other number.
 _FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
-# Magnitude [µm] that no height has, whatever its unit: the largest float32 and 1e20 are codes.
+# Magnitude [µm] that no height has, whatever its unit. Larger numbers are codes for missing data, such as 1e20 and the
+# largest float32.
 _MOST_HEIGHT = 1e9
 
 
 def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
-    """Refuse heights beyond ``most``, which are codes for missing data."""
+    """Raise an error if the magnitude of a height exceeds ``most``: such a number is a code for missing data."""
     beyond = (heights > most) | (heights < -most)
     if count := int(np.count_nonzero(beyond)):
         raise ArgumentValueError(
@@ -105,7 +110,7 @@ def warn_of_grating(period_um: float, **depths_um: float) -> None:
 
 
 def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
-    """Return a number that is probably a code for missing data, and how many samples have it; None if there is none."""
+    """Return a number that is probably a code for missing data, and how many samples have it; None if none is."""
     for value, others in ((float(np.nanmin(heights)), np.nanmin), (float(np.nanmax(heights)), np.nanmax)):
         count = int(np.count_nonzero(heights == value))
         rest = heights[(heights != value) & ~np.isnan(heights)]
@@ -113,7 +118,8 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
             return None
         spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
         known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
-        # A binary grating has two heights and no code.
+        # If all other heights are equal, as in a binary grating, only known codes for missing data of at least 1e4 µm
+        # count.
         if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
             gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
         ):
@@ -123,14 +129,14 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
 
 @dataclass(frozen=True)
 class _Scale:
-    """Magnitudes of a field.
+    """Magnitudes of a height field, from which its units are checked.
 
     Attributes:
         height: Height range [µm].
         pitch: Smallest and largest pitch of the axes with more than one sample [µm].
-        size: Largest extent of these axes [µm].
+        size: Largest extent of the axes with more than one sample [µm].
         slope: Mean absolute slope.
-        median_slope: Median of the absolute slope.
+        median_slope: Median of the absolute slope along an axis, for the axis where it is larger.
     """
 
     height: float
@@ -141,7 +147,7 @@ class _Scale:
 
     @classmethod
     def of(cls, heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> _Scale | None:
-        """Measure a field; None if it is flat or has a single sample."""
+        """Measure a height field; return None if it is flat or has a single sample."""
         known = heights[~np.isnan(heights)]
         height = float(np.ptp(known))
         free = [axis for axis in (0, 1) if heights.shape[axis] > 1]
@@ -150,7 +156,8 @@ class _Scale:
         pitch = min(pitch_um[axis] for axis in free), max(pitch_um[axis] for axis in free)
         size = max(heights.shape[axis] * pitch_um[axis] for axis in free)
         if _is_within(pitch, size) and _SUSPICIOUS_RANGE_UM <= height <= _STEEP * pitch[0]:
-            # No slope can be too large.
+            # Neighbouring samples differ at most by the height range, which is so small that no slope is above the
+            # limit for a warning.
             return None
         slopes = []
         for axis in free:
@@ -162,7 +169,7 @@ class _Scale:
         return cls(height, pitch, size, math.hypot(*means) if means else 0.0, max(medians, default=0.0))
 
     def symptom(self) -> str:
-        """Return what is unusual, in words; an empty string if nothing is."""
+        """Return in words what is unusual about the scale of the field; an empty string if nothing is."""
         is_steep = self.slope > _TOO_STEEP or min(self.slope, self.median_slope) > _STEEP
         proposed = self._proposal() is not None
         symptoms = (
@@ -181,7 +188,7 @@ class _Scale:
         return next((words for is_unusual, words in symptoms if is_unusual), "")
 
     def remedy(self) -> str:
-        """Return the question and the factor for the units that heights and pitch probably have."""
+        """Return advice: the probable units of heights and pitch as a question, and the factors that convert to µm."""
         proposal = self._proposal()
         if proposal is None:
             return "check the units: heights and pitch must be in µm"
@@ -198,10 +205,10 @@ class _Scale:
         return f"are heights in {of_heights}? Multiply them by {_UNITS[of_heights]:g}"
 
     def _proposal(self) -> tuple[str, str] | None:
-        """Return the units of heights and pitch that make the field usual, "" for µm; None if there are none.
+        """Return the units of heights and pitch that make the field usual, "" for µm; None if no units do.
 
-        A change of one of them, or of both to the same unit, is preferred to two different units, and ångströms are
-        proposed last.
+        Another unit for heights or pitch alone, or the same unit for both, is preferred to two different units.
+        Ångströms are proposed last.
         """
         usual = [pair for pair in self._changes() if self._is_usual(*pair)]
         if not usual:
@@ -217,14 +224,14 @@ class _Scale:
 
     @staticmethod
     def _changes() -> Iterator[tuple[str, str]]:
-        """Yield pairs of units of heights and pitch that are not both µm."""
+        """Yield all pairs of a unit of the heights and a unit of the pitch, of which at least one is not µm."""
         for heights in ("", *_UNITS):
             for pitch in ("", *_UNITS):
                 if heights or pitch:
                     yield heights, pitch
 
     def _is_usual(self, heights: str, pitch: str) -> bool:
-        """Whether a field is usual in these units."""
+        """Return whether the field is a usual scan if its heights and its pitch are in these units."""
         of_heights, of_pitch = _UNITS.get(heights, 1.0), _UNITS.get(pitch, 1.0)
         return (
             _RANGES_UM[0] <= self.height * of_heights <= _RANGES_UM[1]
@@ -234,5 +241,5 @@ class _Scale:
 
 
 def _is_within(pitch: tuple[float, float], size: float) -> bool:
-    """Whether the smallest and largest pitch and the size [µm] are usual."""
+    """Return whether the smallest pitch, the largest pitch and the size [µm] are in the ranges of usual scans."""
     return _PITCHES_UM[0] <= pitch[0] and pitch[1] <= _PITCHES_UM[1] and size >= _LEAST_SIZE_UM

@@ -1,8 +1,9 @@
-"""Search for lines in the power spectrum of a height field that rise significantly above its background.
+"""Search for lines in the power spectrum of a height field: maxima that rise significantly above the background.
 
-Frequencies are in cycles over the field, pairs in the order (y, x). The background is never assumed to be white: a line
-must exceed the spectrum at lower and at higher frequencies of the same direction, so that waviness, roughness of any
-correlation, steps between scan lines and grinding marks are not mistaken for periods.
+A periodic wave causes a line, and roughness causes the background. Frequencies are in cycles over the field, as pairs
+(y, x). The background is not assumed to be white: a line must exceed the spectrum at lower and at higher frequencies of
+its own direction. Waviness, correlated roughness, steps between scan lines and grinding marks are therefore not
+mistaken for periods.
 """
 
 from __future__ import annotations
@@ -18,50 +19,59 @@ from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, OF_NYQUIST
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Widths [cycles] of the boxes over which the spectrum is averaged: narrow lines need 1, lines of wavering waves more.
-# An axis must have at least so many boxes.
+# Widths [cycles] of the square boxes over which the power spectrum is averaged before its maxima are searched: narrow
+# lines need 1, and the broad lines of waves with a varying phase need more. Then the number of boxes that must fit
+# along each axis of the spectrum; wider boxes are not used.
 _WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
-# Probability that noise exceeds the threshold anywhere in the spectrum, for each width; and for a single frequency.
+# Accepted probabilities that noise alone is taken for a line: anywhere in the spectrum, for each width of the boxes;
+# and at a single frequency.
 _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
-# Smallest power of a line that is wider than the resolution, relative to the background: by less than this factor the
-# estimate of the background is wrong. If doubled, lines of weak wavering waves are lost.
+# Smallest ratio of the power of a broad line to its background. Estimates of the background are wrong by less than this
+# factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
-# Probability above which a maximum of the coarsely normalised spectrum is not examined.
+# Largest accepted probability that noise reaches a maximum, if the coarse background is right. Maxima that noise
+# reaches with a higher probability are not examined further.
 _EXAMINED = 1e-3
-# Largest number of maxima of each width that are examined. Limit: time.
+# Largest number of maxima that are examined for each width of the boxes. Limit: time.
 _MOST_CANDIDATES = 40
-# Half width of the main lobe of the Hann window [cycles], at which its power is below 1 %.
+# Distance from the centre of the main lobe of the Hann window [cycles] at which its power is below 1 % of the maximum.
 _MAIN_LOBE = 1.8
-# Half width of the strips along a wave vector, relative to the frequency, and number of rows of coefficients in them.
+# The background of a line is estimated from two strips of the spectrum, at lower and at higher frequencies of the same
+# direction. Here are their half width, relative to the frequency of the line, and the largest number of positions along
+# each strip.
 _STRIP, _MOST_ALONG = 0.15, 40
-# Highest frequency of the background relative to that of the line, of fields and of profiles, which have fewer
-# coefficients.
+# The background of a line is estimated at higher frequencies up to this multiple of the frequency of the line: in
+# fields of two axes; and in single rows or columns, which have fewer coefficients.
 _HIGHEST = (1.8, 2.4)
-# Bins of the coarse background: rings per octave, and sectors of the half plane; and the number of coefficients from
-# which it is estimated. Limit: time.
+# The coarse background is estimated in bins of the frequency plane: number of rings per octave of frequency, and number
+# of sectors of half of the plane. The third number is that of the coefficients used in large spectra. Limit: time.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
-# Frequency [cycles] below which all coefficients are taken.
+# Frequency [cycles over the longer side of the field] below which all coefficients are used for the coarse background,
+# also in large spectra.
 _FEW_CYCLES = 64.0
-# Smallest and largest exponent of the background; steeper ones come from few coefficients.
+# Smallest and largest exponent p of a background that is proportional to the frequency to the power −p. Values beyond
+# these limits are errors of an estimate from few coefficients.
 _EXPONENTS = (-4.0, 8.0)
-# Directions of the straight lines through a maximum.
+# Angles [rad] of the straight lines through a maximum of the spectrum, along which the maximum is compared with the
+# other powers.
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
-# Quantile of the powers in a bin that gives the coarse background: at low frequencies, a line covers most of a bin.
+# Quantile of the powers in a bin from which the coarse background is estimated. It is below the median, because at low
+# frequencies a line covers most of a bin.
 _QUANTILE = 0.15
-# Factors of the mean of exponentially distributed powers over their median, and over this quantile.
+# Ratios of the mean of exponentially distributed powers to their median, and to their quantile `_QUANTILE`.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
 @dataclass(frozen=True)
 class Line:
-    """Significant maximum of a spectrum.
+    """Significant maximum of a power spectrum.
 
     Attributes:
         cycles: Frequency (y, x) [cycles over the field].
-        background: Power per coefficient of the background at this frequency.
-        exponent: Exponent p of the background, which decreases as the power −p of the frequency.
-        excess: Power of the line above the background.
+        background: Power per coefficient of the background at this frequency, by an estimate from its neighbourhood.
+        exponent: Exponent p of the background, which is proportional to the frequency to the power −p.
+        excess: Power of the line minus the background, summed over the coefficients of the line.
     """
 
     cycles: NDArray[np.float64]
@@ -70,17 +80,17 @@ class Line:
     excess: float
 
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Background at frequencies near the line [cycles], which are broadcast."""
+        """Return the background per coefficient near the line, for frequencies [cycles] in arrays that broadcast."""
         along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
         return np.asarray(self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent)
 
 
 class WindowedSpectrum:
-    """Power spectrum of heights (ny, nx) with a Hann window, with the zero frequency in the centre.
+    """Power spectrum of heights that are multiplied by a Hann window, with the zero frequency in the centre.
 
     Attributes:
-        power: Powers, shape (ny, nx); 1 for white noise of variance 1.
-        centre: Index of the zero frequency.
+        power: Powers, shape (ny, nx). White noise of variance 1 has a mean power of 1.
+        centre: Row and column of the zero frequency in ``power``.
     """
 
     def __init__(self, heights: NDArray[np.float64]) -> None:
@@ -94,12 +104,12 @@ class WindowedSpectrum:
 
     @property
     def _cycles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Cycles of the rows, shape (ny, 1), and of the columns, shape (1, nx)."""
+        """Frequencies of the rows of ``power`` [cycles], shape (ny, 1), and of its columns, shape (1, nx)."""
         ny, nx = self.power.shape
         return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
     def excess(self, line: Line, radius: float) -> float:
-        """Power above the background within ``radius`` cycles around a line."""
+        """Return the power above the background, summed within ``radius`` cycles around a line."""
         rows, columns = self._window(line.cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])]
         rows, columns = rows[:, None], columns[None, :]
@@ -107,26 +117,26 @@ class WindowedSpectrum:
         return float(np.sum((power - line.background_at(rows, columns))[inside]))
 
     def around(self, cycles: NDArray[np.float64]) -> float:
-        """Power within the main lobe around a frequency."""
+        """Return the power around a frequency, summed over the main lobe of the window."""
         place = self._place(cycles)
         return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
 
     def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
-        """Return the narrow line at a frequency, or None; it need not be significant among all frequencies."""
+        """Return the narrow line at a single known frequency if it is significant there, otherwise None."""
         return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes, 1.0)
 
     def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
-        """Index of the coefficient next to a frequency."""
+        """Return the row and the column in ``power`` of the coefficient that is nearest to a frequency."""
         row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
         return row, column
 
     @staticmethod
     def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
-        """Slices of the main lobe of the window around a coefficient."""
+        """Return slices of the rows and columns that the main lobe of the window covers around a coefficient."""
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-        """Frequency of the largest power within ``radius`` cycles around another frequency."""
+        """Return the frequency of the largest power within ``radius`` cycles around a given frequency."""
         rows, columns = self._window(cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])].copy()
         power[np.hypot(rows[:, None] - cycles[0], columns[None, :] - cycles[1]) > radius] = 0.0
@@ -134,17 +144,17 @@ class WindowedSpectrum:
         return np.array([float(rows[row]), float(columns[column])])
 
     def _window(self, cycles: NDArray[np.float64], radius: float) -> list[NDArray[np.int64]]:
-        """Rows and columns within ``radius`` cycles around a frequency."""
+        """Return frequencies of rows and of columns [cycles] that are within ``radius`` cycles of a given frequency."""
         return [
             np.arange(max(math.ceil(c - radius), -centre), min(math.floor(c + radius) + 1, n - centre))
             for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
         ]
 
     def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
-        """Return the significant line of the largest power outside of a mask of the shape of ``power``, or None.
+        """Return the significant line of the largest power, or None if no line is significant.
 
         Args:
-            excluded: Coefficients that are not searched.
+            excluded: Mask of the coefficients that are not searched, of the shape of ``power``.
             sizes: Extents of the field along y and x.
         """
         white = self.power / self._coarse_background(sizes)
@@ -157,15 +167,20 @@ class WindowedSpectrum:
         return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
     def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Background by quantiles over rings and sectors, and along both axes, where steps between lines have power."""
+        """Return a coarse background for each coefficient, estimated over rings and sectors of the frequency plane.
+
+        The largest of several estimates counts. Along both axes of the plane there are further estimates, because steps
+        between scan lines have their power there.
+        """
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
-        # Cycles over the longer side.
+        # Frequency of each coefficient [cycles over the longer side of the field].
         frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
         ring = np.floor(_RINGS * np.log2(frequency)).astype(np.int32)
         angle = np.arctan2(rows, columns)
         sector = np.floor((_SECTORS / np.pi) * angle).astype(np.int32) % _SECTORS
         count, is_plane = int(ring.max()) + 1, min(self.power.shape) > 1
-        # One half plane suffices, and of high frequencies a part.
+        # Opposite frequencies have equal powers, so that half of the plane suffices. At high frequencies of a large
+        # spectrum only every n-th coefficient is used, which saves time.
         subset = np.broadcast_to(columns >= 0 if self.power.shape[1] > 1 else rows >= 0, self.power.shape)
         step = self.power.size // _MOST_SAMPLED
         if step > 1:
@@ -194,7 +209,7 @@ class WindowedSpectrum:
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
-        """Return the strongest significant line of the spectrum averaged over boxes."""
+        """Return the strongest significant line of the spectrum after averages over boxes of one width, or None."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
@@ -203,7 +218,8 @@ class WindowedSpectrum:
                 return None
             white = ndimage.uniform_filter(white, sides, mode="wrap")
         allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
-        # Neighbouring coefficients of a Hann window are correlated.
+        # The Hann window correlates neighbouring coefficients. A box of the spectrum therefore has fewer independent
+        # powers than coefficients.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
         tried = max(np.count_nonzero(allowed) / independent, 1.0)
         level = _FALSE_ALARM / tried
@@ -213,7 +229,8 @@ class WindowedSpectrum:
         for _ in range(_MOST_CANDIDATES):
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             value = float(values[row, column])
-            # The coarse background only orders the maxima, and may contain the line itself.
+            # The coarse background may contain the power of a line itself. It therefore only decides which maxima are
+            # examined, and in which order.
             if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0
@@ -226,10 +243,10 @@ class WindowedSpectrum:
         self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
         sizes: NDArray[np.float64], tried: float,
     ) -> Line | None:  # fmt: skip
-        """Return the line in a box around a coefficient, if it is significant.
+        """Return the line in a box around a coefficient, or None if it is not significant.
 
-        It must exceed the spectrum at lower and at higher frequencies of the same direction, and along any straight
-        line through it.
+        The mean power in the box must exceed the spectrum at lower and at higher frequencies of the same direction, and
+        the rest of each straight line through the box in the frequency plane.
         """
         width = max(sides)
         box = tuple(slice(max(i - side // 2, 0), i + side // 2 + 1) for i, side in zip(place, sides, strict=True))
@@ -247,7 +264,8 @@ class WindowedSpectrum:
         centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
-            # A ridge has about the square root of all coefficients, so that noise has fewer maxima along it.
+            # A straight line through the spectrum contains only about √n of its n coefficients. Noise has fewer maxima
+            # along the line, so that a larger probability is accepted for each maximum.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0
@@ -255,22 +273,22 @@ class WindowedSpectrum:
             exponent = math.log(medians[0] / medians[1]) / math.log(distances[1] / distances[0])
             exponent = min(max(exponent, _EXPONENTS[0]), _EXPONENTS[1])
         background = medians[0] * distances[0] ** exponent
-        # All power of a narrow line is within the main lobe.
+        # The main lobe of the window contains all power of a narrow line, and a box of width 1 only a part of it.
         lobe = self.power[self._main_lobe(place)] if width == 1 else power
         return Line(centroid, background, exponent, float(np.sum(lobe - background)))
 
     def _of_same_direction(
         self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
     ) -> tuple[list[float], list[float], int]:
-        """Return the background at lower and at higher frequencies of the same direction.
+        """Return the mean power of the background at lower and at higher frequencies of the same direction.
 
-        Also return their distances from the zero frequency relative to that of the line, and the number of their
-        coefficients, 0 if there are no lower ones.
+        Also return the mean distances of these frequencies from zero, relative to that of the line, and the number of
+        coefficients that were used. This number is 0 if no coefficient has a lower frequency.
         """
         vector = cycles / sizes
         length = float(np.hypot(*vector))
         unit = vector / length
-        # Distances of neighbouring coefficients along the wave vector and across.
+        # Distances between neighbouring coefficients: along the wave vector of the line, and perpendicular to it.
         along = 1.0 / float(np.max(np.abs(unit) * sizes))
         across = 1.0 / float(np.max(np.abs(unit[::-1]) * sizes))
         gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
@@ -299,11 +317,12 @@ class WindowedSpectrum:
         self, along: NDArray[np.float64], across: NDArray[np.float64], unit: NDArray[np.float64],
         sizes: NDArray[np.float64],
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Return the distinct powers at distances along a unit vector (y, x) and across."""
+        """Return the powers at the points of a grid aligned with a unit vector (y, x); each coefficient counts once."""
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (
-            # In a field of extreme aspect ratio, steps across exceed the range of integers.
+            # In extremely long and narrow fields, indices of coefficients would exceed the range of integers, so that
+            # they are clipped.
             np.clip(np.round(vector * size), -n, n).astype(np.int64) + centre
             for vector, size, n, centre in zip(vectors, sizes, (ny, nx), self.centre, strict=True)
         )
@@ -311,10 +330,11 @@ class WindowedSpectrum:
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
-        """Return the smallest power of a maximum relative to the rest of a straight line through it.
+        """Compare a maximum with the rest of each straight line through it; return the smallest ratio of their powers.
 
-        Also return the numbers of independent coefficients of both. Grinding marks and steps between scan lines make
-        ridges in the spectrum, which noise covers with maxima.
+        Grinding marks and steps between scan lines make ridges in the spectrum, and noise makes many maxima along a
+        ridge. Such a maximum hardly exceeds the rest of its ridge. Also return the number of independent coefficients
+        of the maximum, and the number of coefficients of the rest, for the straight line with the smallest ratio.
         """
         core = 0.5 * (width - 1) + _MAIN_LOBE
         reach = int(core + max(9, width // 2))
@@ -331,7 +351,8 @@ class WindowedSpectrum:
             np.abs(dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES - shifts) <= 0.6
             for mask in (outside, inside)
         )
-        # Medians of the sorted powers along each line, all at once.
+        # Median power along each straight line, outside of the maximum. The powers are sorted already, so that
+        # cumulative counts give all medians at once.
         number = np.cumsum(on_rest[:, order], axis=1, dtype=np.int32)
         middle = np.argmax(2 * number >= number[:, -1:], axis=1)
         medians = np.maximum(_MEAN_OF_MEDIAN * rest[middle], 1e-300)
@@ -344,9 +365,10 @@ class WindowedSpectrum:
 
 
 def _is_significant(ratio: float, independent: float, background_count: float, level: float, width: int) -> bool:
-    """Whether noise exceeds its background by a ratio with a probability below ``level``.
+    """Return whether noise reaches a ratio of a maximum to its background with a probability of at most ``level``.
 
-    Powers are distributed exponentially, and the background is itself an estimate from few of them.
+    The powers of noise are distributed exponentially, and the background is estimated from few of them. Their ratio
+    therefore has Fisher's F distribution.
     """
     from scipy import special
 
@@ -359,9 +381,9 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
 def _ring_background(
     power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
 ) -> NDArray[np.float64]:
-    """Estimate the mean power of each ring from a quantile over ``reach`` rings on both sides.
+    """Estimate the mean power in each ring of the frequency plane from a quantile over ``reach`` rings on both sides.
 
-    Rings without any coefficient take interpolated values.
+    Rings without any coefficient get interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))

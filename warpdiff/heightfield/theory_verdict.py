@@ -7,7 +7,8 @@ the largest estimate is the verdict:
   1/λ.
 - deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope, the period
   of a sine with this s and this mean slope.
-- narrow: the share of the light that features narrower than two wavelengths diffract, at |w| = 1, divided by 0.7.
+- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
+  computed for |w| = 1.
 - energy: 1.1 times the deviation of the sum over Stam's orders from the power that a flat surface reflects; 0.4 times
   this deviation if the efficiencies are normalised. Without a direction to the light, the largest deviation of light
   from 0°, 30° and 60° counts.
@@ -46,18 +47,18 @@ WAVELENGTH_NM = 550.0
 # Estimated error from which the verdict is "qualitative" instead of "reliable": a tenth of the reflected power. If
 # doubled, gratings with larger errors are graded reliable.
 QUALITATIVE = 0.1
-# Estimated error from which the verdict is "invalid". Limit: 99 % of the gratings with such an estimate have an order
-# that is wrong by more than a tenth of the reflected power. If halved, shallow patterns with features of two
-# wavelengths are graded invalid.
+# Estimated error from which the verdict is "invalid". Of the gratings with such an estimate, 99 % have an order that is
+# wrong by more than a tenth of the reflected power. If halved, shallow patterns with features of two wavelengths are
+# graded invalid.
 INVALID = 0.9
 # Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. Fitted to
 # rigorous solutions for two thirds of the periods and depths (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
-# Factor from the undersampled share of the relief to the estimated error. With it, an undersampled half of the relief
-# gives an error of 1: the results are meaningless.
+# Factor from the undersampled share of the relief to the estimated error. If half of the relief is undersampled, the
+# estimated error is 1: the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
-# Product of spatial frequency and wavelength above which features count as narrow: their period is less than two
-# wavelengths. Fitted with the factors above.
+# Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
+# two wavelengths. Fitted to the same rigorous solutions as the factors above.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimates of a height field are cached. Limit: memory; a call for a
 # spectrum uses three wavelengths.
@@ -81,8 +82,9 @@ _LEAST_COSINE = 0.1
 # both materials, because the reflectance of glass also depends on the direction of an order.
 _MIRROR, _GLASS = 1.0, 0.04
 
-# Caches by height field and wavelength [nm]: the estimated errors by their reason, except the reason "energy"; and the
-# deviations of the sums over orders, from which the estimate for "energy" follows.
+# Caches by height field and wavelength [nm]. The first contains the estimated errors by their reason, except the reason
+# "energy". The second contains the deviations from 1 of the sums over orders, from which the estimate for "energy"
+# follows.
 _errors: weakref.WeakKeyDictionary[HeightField, dict[float, dict[Reason, float]]] = weakref.WeakKeyDictionary()
 _deviations: weakref.WeakKeyDictionary[HeightField, dict[float, tuple[float, float]]] = weakref.WeakKeyDictionary()
 
@@ -97,7 +99,7 @@ class TheoryVerdict:
         reason: Property of the surface with the largest estimated error: ``"steep"`` or ``"deep"`` relief; ``"narrow"``
             features; ``"energy"``, if the orders do not sum to the power that a flat surface reflects;
             ``"undersampled"``, if the samples are too far apart for the phase.
-        wavelength_nm: Wavelength [nm].
+        wavelength_nm: Wavelength of the verdict [nm].
 
     Examples:
         >>> import warpdiff as wd
@@ -113,7 +115,7 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade: use colours and numbers (reliable), only positions of colours (qualitative), or nothing (invalid)."""
+        """Grade of accuracy: reliable; qualitative, if only the positions of colours are reliable; or invalid."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
@@ -148,7 +150,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Return the wavelength of the verdict on a call: 550 nm, or the nearest end of its range of wavelengths."""
+    """Return the wavelength [nm] of the verdict on a call: 550 nm, or the nearest end of the range of the call."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 
@@ -160,7 +162,7 @@ def verdict_on(
 
     Args:
         heightfield: Height field; missing samples count as the mean height.
-        wavelength_nm: Wavelength [nm].
+        wavelength_nm: Wavelength of the verdict [nm].
         conserves: Whether efficiencies are normalised, and the surface transmits no light.
         energy_sum: Sum of Stam's efficiencies over the orders of a call, relative to the reflectance of a flat surface;
             None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
@@ -175,10 +177,12 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The reason is "steep" if both apply: the estimate for deep relief contains the slope, too.
+        # If both the reasons "steep" and "deep" apply, "steep" is reported: the estimate for deep relief contains the
+        # slope, too.
         reason = "steep"
     if errors["undersampled"] >= INVALID:
-        # If the samples are too far apart, the other estimates are wrong too, because they use the same samples.
+        # If the samples are too far apart, all other estimates of the error are wrong too, because they use the same
+        # samples.
         reason = "undersampled"
     return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
 
@@ -219,7 +223,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frequencies of a discrete Fourier transform times the wavelength, along y and x, shape (ny, nx) each."""
+    """Return spatial frequencies of a Fourier transform times the wavelength, along y and x, shape (ny, nx) each."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -230,17 +234,15 @@ def _part(
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
     """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
 
-    The pitch of the part [µm] and a window are also returned. The window falls to 0 at the edges where the part is
-    smaller than the field.
-
-    The pitch of the part [µm] and a window follow, which falls to 0 at the edges along an axis that was cut.
+    Also return the pitch of the part [µm] and a window. Along an axis where the part is smaller than the field, the
+    window falls to 0 at both ends; elsewhere it is 1.
     """
     most = _MOST_OF_PROFILE if 1 in heightfield.shape else _MOST_OF_FIELD
     steps, parts, fades = [], [], []
     for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True):
         finest = max(int(wavelength_um / (_PER_WAVELENGTH * pitch)), 1)
-        # Every ``step``-th sample is used, with a step as large as the limit on the number of samples requires. If the
-        # whole period is used, the step must divide its number of samples, so that the samples remain periodic.
+        # Every ``step``-th sample is used, which limits the number of samples but leaves enough of them per wavelength.
+        # If the whole period is used, the step must divide its number of samples, so that the samples remain periodic.
         step = next(step for step in range(min(finest, -(-n // most)), 0, -1) if n % step == 0 or n > step * most)
         count = min(n // step, most)
         first = (n - count * step) // 2
@@ -291,7 +293,10 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
-    """Return the largest deviation from 1 of the sum of Stam's efficiencies, for a mirror and for glass."""
+    """Return the deviation from 1 of the sum of Stam's efficiencies over all orders, for a mirror and for glass.
+
+    It is the largest deviation for several directions to the light.
+    """
     heights, pitch_um, window = _part(heightfield, wavelength_um)
     heights = heights / wavelength_um
     if heightfield.height_range_um == 0.0 or np.ptp(heights) > _MOST_RANGE:
@@ -299,8 +304,8 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
     v, u = _orders(heights.shape, pitch_um, wavelength_um)
     reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
     orders = np.stack([u[reachable], v[reachable]], axis=1)
-    # The amplitude of each order is required at another κ. It is interpolated by Chebyshev polynomials between
-    # amplitudes at a few κ.
+    # Each order has a κ of its own. Amplitudes are computed at a few κ, and interpolated to that of each order by
+    # Chebyshev polynomials.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
     count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4
@@ -329,7 +334,7 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
 
 
 def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """Directions to the light for which orders are summed: on both sides of the normal along x and y.
+    """Return the directions to the light for which orders are summed: on both sides of the normal along x and y.
 
     An axis along which the height field has a single sample is excluded.
     """

@@ -25,7 +25,7 @@ Illuminant = str | Spectrum
 
 # Nanometres per micrometre.
 NM_PER_UM = 1e3
-# Limits of the visible range [nm], over which colours are integrated (a convention). The stored colour products of D65
+# Ends of the visible range [nm], over which colours are integrated (a convention). The stored colour products of D65
 # cover exactly this range.
 LAMBDA_MIN_NM = 380
 # Longest wavelength of the visible range [nm]; see `LAMBDA_MIN_NM`.

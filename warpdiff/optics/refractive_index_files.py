@@ -202,7 +202,7 @@ _FORMULAS: dict[str, tuple[Callable[[NDArray[np.float64], NDArray[np.float64]], 
         ),
         range(1, 18),
     ),
-    # Cauchy's formula: a polynomial for n itself.
+    # Cauchy's formula is a polynomial for n, whereas the formulas above are for n².
     "5": (lambda um, c: c[0] + _pair_sum(c, 1, lambda b, power: b * um**power), range(1, 12)),
     # Formula for gases, with resonances in 1/µm².
     "6": (lambda um, c: 1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b / (a - um**-2.0)), range(1, 12)),

@@ -65,8 +65,8 @@ _TYPICAL_SHARE = 0.05
 _SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths of a colour. Limit: time is proportional to it, and one direction requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths for a source near the horizon, whose foreshortening, and with it the required number,
-# increases without bound. This number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths under a source whose light arrives near the horizon. The required number increases
+# without bound with the foreshortening there; this number suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 

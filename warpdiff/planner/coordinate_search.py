@@ -32,9 +32,9 @@ _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
 # less than that.
 _OCTAVES = 3
-# Tolerance of the upper bound from which the bandwidths follow that searches try: multiples of its bandwidth by powers
-# of 2, in steps of 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance
-# could give a slightly more expensive plan than a smaller one.
+# Searches try bandwidths that are multiples of the upper bound at this tolerance, by powers of 2 in steps of
+# 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance could give a
+# slightly more expensive plan than a smaller one.
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget, because so few do
 # not represent the bright directions of a call well. Fitted to random calls with few bright directions

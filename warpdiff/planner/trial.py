@@ -160,9 +160,9 @@ class Trial:
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Number of validation directions that are brighter than the highest floor, and than the lowest floor.
+        """Numbers of bright validation directions: with the highest luminance floor, and with the lowest one.
 
-        Both are infinite if the validation set has all directions of the call.
+        Both numbers are infinite if the validation set has all directions of the call.
         """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
@@ -293,8 +293,9 @@ class Trial:
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
-        # For a source near the horizon, the number of wavelengths of the reference plan is limited. Its values are
-        # wrong for directions with larger order rates than this number resolves.
+        # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
+        # near the horizon. Its values are then wrong for directions with a larger order rate than these wavelengths
+        # resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None

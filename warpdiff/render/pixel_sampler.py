@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Limits on the number of rays whose directions are measured to choose a plan; time is proportional to them. If pixels
-# show points, at most the first number of rays per pixel are measured. If pixels show means over footprints, about the
+# Maximum numbers of rays whose directions are measured to choose a plan; time is proportional to them. If pixels show
+# points, at most the first number of rays per pixel are measured. If pixels show means over footprints, about the
 # second number of rays are measured in total, and at most the third number per pixel. Their positions in the pixel
 # vary, because subpixel cells have directions that do not occur at pixel centres.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16

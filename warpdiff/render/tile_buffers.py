@@ -95,7 +95,8 @@ class SharedTileBuffers:
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Allocate buffers that ``parts`` threads can use at the same time."""
-        # A part has space for a whole number of tiles of any level, and for a whole number of batches of look-ups.
+        # Each part of the buffers, which one thread uses at a time, has space for a whole number of pixels with their
+        # cells at any level, and for a whole number of the batches of rays that look-ups process together.
         multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
         self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size

@@ -43,8 +43,8 @@ MIN_RINGS, MAX_RINGS = 4, 512
 # The number of functions of w in a colour table is a multiple of the first number, and at most the second number. Each
 # number requires separately compiled kernels; a smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
-# Limits (least, most) of the fields that state for which directions and wavelengths a plan is valid. A component of a
-# sum of two unit vectors is at most 2, plus rounding.
+# Accepted minimum and maximum of the fields that state for which directions and wavelengths a plan is valid. A
+# component of a sum of two unit vectors is at most 2, plus rounding.
 _SCOPE = {
     **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),

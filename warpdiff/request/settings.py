@@ -32,7 +32,7 @@ Method = Literal[
 Integration = Literal["auto", "sampled", "table"]
 Energy = Literal["stam", "normalised", "normalized"]
 Layer = Literal["normal", "depth", "geometry"]
-# Limit on the number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
+# Maximum number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
 MOST_SAMPLES = 2**16
 
 

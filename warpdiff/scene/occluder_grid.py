@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Limits above which a hierarchy is used instead of a grid. First number: mean number of cells that a face overlaps.
-# Second number: mean length of the lists that contain a face. Meshes with very uneven faces exceed the limits, and a
+# Numbers above which a hierarchy is used instead of a grid. First number: mean number of cells that a face overlaps.
+# Second number: mean length of the lists that contain a face. Meshes with very uneven faces exceed these numbers, and a
 # hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces per slice of a launch. Choice: other values change only the time.

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 # Number of values of |w| at which the functions of w are tabulated: at least 32 per oscillation of a function. Cubics
 # interpolate between them.
 _ENTRIES_OVER_W = 160
-# Smallest divisor of relative errors by truncating the functions of w, as a share of the largest size of the colours
-# over all |w|. Otherwise errors are relative to the size of the colours at the same |w|.
+# Errors by truncating the functions of w are relative to the size of the colours at the same |w|. The divisor is at
+# least this share of the largest size of the colours over all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths from one ring to the next at which the colour curves are sampled, for the fit of splines.
 _SAMPLES_PER_NODE = 64
-# Smallest divisor of relative errors in the fit of splines, as a share of the largest value of a colour curve.
-# Otherwise errors are relative to the values of the curve, which vanish at both ends of the spectrum.
+# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the spectrum.
+# The divisor is at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle; the first number is its cos θd. The ratio of the
 # reflectance at other angles to this one is approximated by a sum of products: a function of |(u, v)| times a function

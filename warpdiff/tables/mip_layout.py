@@ -34,8 +34,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur of a mip level in angle [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Limit to which the number of azimuth samples of a ring is reduced. Limit: larger numbers would overflow 64-bit
-# integers. A table of this size is refused later, by a ``MemoryError``.
+# Largest number of azimuth samples of a ring; larger numbers, which would overflow 64-bit integers, are reduced to it.
+# A table of this size is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 

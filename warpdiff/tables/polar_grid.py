@@ -114,7 +114,10 @@ def inner_radius(coherence: Coherence) -> float:
 
 
 def blur(coherence: Coherence) -> float:
-    """Return the standard deviation of an order in the power spectrum [1/µm]; for a source, at 0.55 µm."""
+    """Return the standard deviation of an order in the power spectrum [1/µm].
+
+    Under a source it depends on the wavelength, and is that at 0.55 µm.
+    """
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)

@@ -40,8 +40,8 @@ _SMALLEST_KAPPA = 1e-3
 # Permitted errors of truncating the functions of w, as shares of the tolerance. First number: for a basis of powers.
 # Second number: for cardinal polynomials in |κ|, whose sums may be much smaller than their single terms.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# First number: coefficients from which the typical size of each basis term is estimated. Second number: smallest size
-# that a term is assumed to have, relative to the largest term.
+# First number: number of coefficients whose values of a basis term give the typical size of this term. Second number:
+# smallest size that is assumed for a term, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of values of |κ| at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Limits of the cache of a height field. First number: entries of each kind, except colour tables. Second number: total
-# size of the colour tables [bytes]. Memory is proportional to these limits.
+# Maximum size of the cache of a height field. First number: entries of each kind, except colour tables. Second number:
+# total size of the colour tables [bytes]. Memory is proportional to these numbers.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 

@@ -62,7 +62,10 @@ class ZerothOrder:
         return between_entries(self.power[:, None], shares)[:, 0]
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of the lobe along u or v at a wavelength [µm]; for a source, at normal incidence."""
+        """Return the variance of the lobe along u or v at a wavelength [µm].
+
+        Under a source it depends on the direction of the light, and is that at normal incidence.
+        """
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
         return wavelength_um**2 / (8.0 * (math.pi * self.coherence.sigma_um) ** 2)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
 
-# Vertical field of view of the initial camera [degrees]. Limit: a matter of taste; a wide angle distorts the body.
+# Vertical field of view of the initial camera [degrees]. Choice: a wide angle distorts the body.
 _FOV_Y_DEG = 25.0
 # Direction from the body to the initial camera, a unit vector in the world frame.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)

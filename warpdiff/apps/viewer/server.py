@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 # Largest number of pages that are open at once. Limit: one thread renders for all pages, so that each page becomes
 # slower.
 MOST_PAGES = 8
-# Largest size of a message from a page [bytes]. Limit: a request has about 2 kB.
+# Largest accepted size of a message from a page [bytes]. The requests of a page have about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
 # Largest number of messages that wait to be sent to a page. Limit: messages to a page that does not read them require
 # memory.

@@ -62,7 +62,7 @@ _LEAST_PIXELS = 320 * 240
 # previews increases only if the predicted time is below this share of the limit. Without this margin, the size would
 # change back and forth.
 _TIMED, _HEADROOM = 5, 0.8
-# Limit on the memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
+# Maximum memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
 # Width and height of the reflectance map [pixels]. Limit: twice the size needs four times as long.
 MAP_SIZE = 192

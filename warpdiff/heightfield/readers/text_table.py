@@ -186,7 +186,8 @@ def form_of(lines: Sequence[str]) -> Form | None:
     best, chosen = 0, None
     for separator, decimal in _FORMS:
         form, counts = Form(separator, decimal), dict[int, int]()
-        # If the comma is both separator and decimal sign, only quotes around the cells can distinguish both uses.
+        # If a comma separates the cells and is also the decimal sign, only quotes around the cells show which commas
+        # are separators.
         if separator == decimal and not any('"' in line for line in sample):
             continue
         for line in sample:
@@ -254,10 +255,8 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
 def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], tuple[int, int]]:
     """Return lines without separators before the first and after the last number, if every row has them.
 
-    The pair of numbers counts the columns, before and after, that may be missing samples instead. This is possible if
-    other cells in the text are empty, too.
-
-    An empty first or last column may also be one of missing samples, if other cells are empty.
+    Such a separator may also belong to an empty column of missing samples. This is possible only if other cells of the
+    text are empty, too. The second result is the possible number of such columns, 0 or 1, before and after the numbers.
     """
     separator = form.separator
     if separator is None:
