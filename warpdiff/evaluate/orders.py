@@ -451,8 +451,13 @@ def _coefficients(
     weights = chebyshev.cardinals(kappas, low, high, count)
     rows, columns = (indices % heightfield.shape).T
     result = np.zeros(len(kappas), dtype=np.complex128)
+    field = np.empty(heights.shape, dtype=np.complex128)
     for node, weight in zip(chebyshev.nodes(low, high, count), weights.T, strict=True):
-        spectra = np.fft.ifft2(np.exp(2j * math.pi * node * heights))
+        # Cosines and sines together take half of the time of a complex exponential.
+        phases = 2.0 * math.pi * node * heights
+        np.cos(phases, out=field.real)
+        np.sin(phases, out=field.imag)
+        spectra = np.fft.ifft2(field)
         result += weight * spectra[rows, columns]
     return result
 

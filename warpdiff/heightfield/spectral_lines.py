@@ -199,8 +199,9 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            for offset in (-1, 0, 1):
-                line = (slice(None),) * axis + (self.centre[axis] + offset,)
+            # An axis of two samples has no frequency above zero.
+            for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
+                line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
                 result[line] = np.maximum(result[line], along[ring[line]])
         return np.asarray(np.maximum(result, 1e-300))
