@@ -146,3 +146,15 @@ def test_a_new_figure_is_made_without_axes_and_written(wave, tmp_path):
     axes.figure.savefig(tmp_path / "profile.png", dpi=20)
     assert (tmp_path / "profile.png").stat().st_size > 0
     plt.close(axes.figure)
+
+
+def test_a_shaded_map_is_lit_from_the_upper_left_and_keeps_gaps(ax):
+    y, x = np.mgrid[:60, :60] * 0.1 - 3.0
+    heights = 0.3 * np.exp(-(x**2 + y**2) / 2.0)
+    heights[5:8, 5:8] = np.nan
+    wd.plot.height_map(wd.HeightField(heights, 0.1), ax=ax, is_shaded=True, cmap="gray")
+    flat, shaded = (image.to_rgba(image.get_array()) for image in ax.images)
+    # The bump is symmetric, so that without shading both sides have the same colour. Rows run upwards.
+    np.testing.assert_allclose(flat[40, 20], flat[20, 40], atol=1e-6)
+    assert shaded[40, 20, 0] > shaded[20, 40, 0] + 0.2
+    np.testing.assert_array_equal(shaded[6, 6], flat[6, 6])

@@ -44,6 +44,9 @@ _LINE_RANGE = 1e-7
 _PROFILE, _GAP = 0.3, 0.24
 # Lower bound of a power density before its logarithm is drawn; it prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
+# Mean slope that a shaded relief has after its heights are scaled. Choice: the light is at 45°, so that most of the
+# surface is neither black nor white. If doubled, walls of grooves are black.
+_RELIEF_SLOPE = 0.5
 # Marker shapes of matplotlib for the periods in a power spectrum, the strongest period first.
 _MARKERS = "osD^vph*"
 
@@ -51,7 +54,7 @@ _MARKERS = "osD^vph*"
 @checked
 def height_map(
     heightfield: HeightField, *, ax: Axes | None = None, profile_along: Axis | None = None,
-    at_um: float | None = None, cmap: str = "cividis", title: str | None = None,
+    at_um: float | None = None, is_shaded: bool = False, cmap: str = "cividis", title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the heights as a map with a scale bar and a colour bar, x to the right and y up.
 
@@ -63,6 +66,8 @@ def height_map(
         profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
             space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
         at_um: Position of the profile on the other axis [µm]; None is the middle.
+        is_shaded: Whether the map is shaded as a relief in oblique light from the upper left. Slopes are exaggerated or
+            reduced to a mean of 27°.
         cmap: Name of a colour map of matplotlib.
         title: Title; None states the size of the field.
 
@@ -88,10 +93,16 @@ def height_map(
     width, height = map_size(extent_y, extent_x)
     below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
-    picture = ax.imshow(
-        factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
-        cmap=_with_gaps(cmap), interpolation="nearest", aspect="equal",
-    )  # fmt: skip
+    values = factor * np.ma.masked_invalid(heightfield.heights_um)
+    placed = {
+        "origin": "lower",
+        "extent": (0.0, extent_x, 0.0, extent_y),
+        "interpolation": "nearest",
+        "aspect": "equal",
+    }
+    picture = ax.imshow(values, cmap=_with_gaps(cmap), **placed)
+    if is_shaded and min(ny, nx) > 1 and heightfield.mean_slope > 0.0:
+        ax.imshow(_shaded(heightfield, picture.to_rgba(values)), **placed)
     ax.set_xlabel("x [µm]" if nx > 1 or not is_band else "constant along x")
     ax.set_ylabel("y [µm]" if ny > 1 or not is_band else "constant along y")
     if is_band:
@@ -107,6 +118,20 @@ def height_map(
     if line is not None:
         _add_profile(ax, line, unit, factor, extent_x / extent_y)
     return ax
+
+
+def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the colours (ny, nx, 4) of a height map with the shading of a relief; gaps keep their colour."""
+    from matplotlib.colors import LightSource
+
+    dy, dx = heightfield.pitch_um
+    lowest = float(np.nanmin(heightfield.heights_um))
+    # The light source assumes that rows run downwards; in a map they run upwards.
+    result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
+        colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
+        vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,
+    )  # fmt: skip
+    return np.where(heightfield.missing[..., None], colours, np.dstack([result, colours[..., 3]]))
 
 
 @checked

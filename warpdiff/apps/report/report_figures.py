@@ -117,7 +117,11 @@ def _surface(data: ReportData) -> Figure:
     uri = (
         _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
         if profile is None
-        else _drawn("png", *_map_size(field), lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile))
+        else _drawn(
+            "png",
+            *_map_size(field),
+            lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile, is_shaded=True),
+        )
     )
     caption = "Heights as given" + (
         f", constant along {'y' if along == 'x' else 'x'}."
