@@ -123,7 +123,7 @@ def _surface(data: ReportData) -> Figure:
             lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile, is_shaded=True),
         )
     )
-    caption = "Heights as given" + (
+    caption = "Heights as given, shaded as a relief in light from the upper left" + (
         f", constant along {'y' if along == 'x' else 'x'}."
         if profile is None
         else f", and a profile along {along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
